@@ -206,8 +206,8 @@ def _without(found: Sequence[Moment]) -> str:
     none = sum(one.none for one in lost)
     return (
         f"{none} of the {len(lost)} moments at which the stop of category 1 loses something lack a stop: there the "
-        f"robot goes on to a later one, or to the end of the motion. Over all {len(found)} moments, the planned stop takes "
-        f"{np.median([_more(one, lambda stop: stop.seconds) for one in found]):.2f} s and "
+        f"robot goes on to a later one, or to the end of the motion. Over all {len(found)} moments, the planned stop "
+        f"takes {np.median([_more(one, lambda stop: stop.seconds) for one in found]):.2f} s and "
         f"{np.median([_more(one, lambda stop: stop.way) for one in found]):.2f} m longer in the median.\n"
     )
 
