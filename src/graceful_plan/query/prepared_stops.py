@@ -15,6 +15,8 @@ from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.prepared_stops import PreparedStops
 from graceful_plan.timing.trajectory import Trajectory
 
+_GENTLE = 0.5
+"""Share of the acceleration limits with which a robot could brake; the rest is for the curves of its path."""
 EVERY = 0.1
 """Default time between two moments [s]: the time that a robot goes on before its stop begins."""
 
@@ -30,7 +32,7 @@ def plan_stops(
     """Plan the quickest verified stops along a motion ahead, and find where there are none.
 
     A moment lacks a stop if no verified stop that begins there ends more than `every` before the motion does, although
-    straight braking at the acceleration limits would. Along full vessels, stops are often as long as the motion.
+    braking at half of the acceleration limits would. Along full vessels, stops are often as long as the motion.
 
     Args:
         motion: The motion.
@@ -72,11 +74,11 @@ def stops_check(prepared: PreparedStops) -> Check:
 
 
 def _is_missing(stop: Trajectory | None, motion: Trajectory, t: float, every: float, scene: Scene) -> bool:
-    """Return whether straight braking would end much earlier than a stop."""
+    """Return whether braking would end much earlier than a stop."""
     if stop is None:
         return True
     latest = float(motion.t[-1]) - every
-    braking = float((np.abs(motion.at(t).qd) / scene.limits.acceleration).max())
+    braking = float((np.abs(motion.at(t).qd) / (_GENTLE * scene.limits.acceleration)).max())
     return bool(t + braking < latest < stop.t[-1])
 
 
