@@ -30,8 +30,8 @@ class ProtectiveStop(Fault):
             brakes would. With 0, the power is cut and the brakes close at once, each joint on its own. The degree then
             has no effect.
         prepared: Time between the beginnings of stops that are planned ahead along the motion and keep contents and
-            grasp, see `graceful_plan.plan_stops` [s]. The robot follows the next of them instead of braking; degree
-            and ramp then have no effect. None: it brakes. For category 1 only.
+            grasp, see `graceful_plan.plan_stops` [s]. The robot follows the one with the earliest end instead of
+            braking; degree and ramp then have no effect. None: it brakes. For category 1 only.
     """
 
     category: int = 1
