@@ -97,7 +97,9 @@ def replan(
     motion = motion.since(min(at, float(motion.t[-1])) - _REMEMBERED)
     rest = motion.since(at)
     leads = goal is None or _reaches(rest.q[-1], goal, scene)
+    began = time.perf_counter()
     kept = _kept(motion, rest, scene, asked)
+    verdict_seconds = time.perf_counter() - began
 
     @cache
     def stop() -> tuple[Trajectory, Verdict] | None:
@@ -110,7 +112,8 @@ def replan(
         motion.q[-1] if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
-        time_limit=None if limit is None else max(0.0, limit - (time.perf_counter() - started)),
+        # A new motion needs a verdict, too, which takes about as long.
+        time_limit=None if limit is None else max(0.0, limit - verdict_seconds - (time.perf_counter() - started)),
         iterations=iterations,
         seed=seed,
         speed=speed,

@@ -148,10 +148,10 @@ def _stops(
 ) -> Iterator[tuple[Trajectory, bool]]:
     """Yield stops to try: straight ones, one along the former motion, and one in which every joint brakes by itself.
 
-    Each comes with whether it is straight. Once it is late, no more straight ones are timed.
+    Each comes with whether it is straight. Once it is late, no more stops are timed.
     """
     yield from ((straight, True) for straight in _straight(state, held, speed, late))
-    if takeover is not None and (along := takeover.stop()) is not None:
+    if takeover is not None and not late() and (along := takeover.stop()) is not None:
         yield along, False
     yield _each_joint(state, held.scene, speed), False
 
