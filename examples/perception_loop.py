@@ -7,7 +7,7 @@ import numpy as np
 import graceful_plan as gp
 
 PERIOD, AHEAD = 0.05, 0.2  # between measurements, and from a call to the takeover [s]
-LIMIT = 0.04  # time limit of a call [s]
+LIMIT = 0.035  # time limit of a call [s]
 SPEED = 0.5  # at full speed, no stop keeps a full cup from spilling
 
 
