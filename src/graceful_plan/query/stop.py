@@ -128,18 +128,18 @@ def quickest_stop(
         return None
     held = SceneConstraints(scene, constraints).around(motion.q[[0, -1]])
     left = float(motion.t[-1]) - at
-    search = _Search(motion, at, held, left)
+    trials = _StopTrials(motion, at, held, left)
     first, *gentler = held.steady_levels
-    if search.tries(_quickest(motion, at, held, first)) is _Outcome.TOO_QUICK:
+    if trials.tries(_quickest(motion, at, held, first)) is _Outcome.TOO_QUICK:
         for share in _FADES if held.felt else ():
-            if search.tries(_faded(motion, at, share * left)) is not _Outcome.TOO_QUICK:
+            if trials.tries(_faded(motion, at, share * left)) is not _Outcome.TOO_QUICK:
                 break
         low, high = 0, len(gentler)
         while low < high:
             middle = (low + high) // 2
-            too_quick = search.tries(_quickest(motion, at, held, gentler[middle])) is _Outcome.TOO_QUICK
+            too_quick = trials.tries(_quickest(motion, at, held, gentler[middle])) is _Outcome.TOO_QUICK
             low, high = (middle + 1, high) if too_quick else (low, middle)
-    return search.best
+    return trials.best
 
 
 @final
@@ -151,8 +151,8 @@ class _Outcome(Enum):
 
 @final
 @dataclass
-class _Search:
-    """A search for the quickest stop that passes the judge."""
+class _StopTrials:
+    """Trials of stops, and the quickest one that has passed the judge."""
 
     motion: Trajectory
     at: float
