@@ -144,7 +144,7 @@ def quickest_stop(
 
 @final
 class _Outcome(Enum):
-    """Outcome of a trial: why the stop was refused, or that it is the quickest so far."""
+    """Outcome of a trial: why the stop was refused, or that it passed."""
 
     TOO_QUICK, TOO_LONG, PASSED = range(3)
 
