@@ -32,6 +32,7 @@ SUBJECTS = (
     "real_tasks",
     "inverse_kinematics",
     "motion_problems",
+    "takeovers",
     "robots",
     "constraints",
     "planners",

@@ -6,8 +6,8 @@ import numpy as np
 
 import graceful_plan as gp
 
-PERIOD, AHEAD = 0.05, 0.17  # between measurements, and from the time limit of a call to the takeover [s]
-LIMITS = 0.03, 0.3  # time limits of a call while the robot moves, and while it rests [s]
+PERIOD, AHEAD = 0.05, 0.2  # between measurements, and from a call to the takeover [s]
+LIMIT = 0.035  # time limit of a call [s]
 SPEED = 0.5  # at full speed, no stop keeps a full cup from spilling
 
 
@@ -23,9 +23,9 @@ def main(seconds: float = 6.0, iterations: int | None = None) -> tuple[gp.Trajec
     goals = [np.atleast_2d(task.goal)[0], np.asarray(task.start)]
     motion = gp.plan(task.start, goals[0], scene, speed=SPEED, iterations=60).unwrap()
     while now < seconds:
-        began, rests = time.perf_counter(), bool(now > motion.t[-1])
-        limit, at = None if iterations else LIMITS[rests], now + LIMITS[rests] + AHEAD
-        goals = goals[::-1] if rests and np.allclose(motion.q[-1], goals[0]) else goals  # arrived
+        began, at, limit = time.perf_counter(), now + AHEAD, None if iterations else LIMIT
+        arrived = now > motion.t[-1] and np.allclose(motion.q[-1], goals[0])
+        goals = goals[::-1] if arrived else goals
         scene = scene.edit(move=measured(now))  # no model is copied
         result = gp.replan(motion, scene, at=at, goal=goals[0], speed=SPEED, time_limit=limit, iterations=iterations)
         took += [time.perf_counter() - began]

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 import graceful_plan as gp
-from benchmarks import report, suite, takeovers
+from benchmarks import report, suite
 
 Array = np.ndarray
 
 TITLE = "Real tasks: first verified motion, limits of time, J over time, and when to stop"
 QUESTION = "How long do the bundled tasks take to a first verified motion, and how fast does the cost J converge?"
 HEADLINE = "J above the best known at .3 s"
-DEPENDS_ON = (*suite.PLANNING, "benchmarks/takeovers.py")
+DEPENDS_ON = suite.PLANNING
 CLASSES = ("block", "dry object", "open vessel", "stew")
 WEIGHTS = (0.0, None)
 """None is the default."""
@@ -75,7 +75,6 @@ def run(options: suite.Options) -> str:
         name: min(call.total for calls in (long[name], until[name], *(timed[name, t] for t in TIMES)) for call in calls)
         for name in names
     }
-    left = takeovers.measure(options.pick(takeovers.COUNT, quick=4))
     replanned = _replanned(options.pick(40, quick=4))
     rows = [
         *_first_targets(first),
@@ -87,7 +86,6 @@ def run(options: suite.Options) -> str:
             measured=f"{1.0 / replanned:.0f}",
             met=1.0 / replanned >= 50.0,
         ),
-        *takeovers.targets(left),
     ]
     return "\n".join(
         [
@@ -105,8 +103,6 @@ def run(options: suite.Options) -> str:
                 ("class", "first [ms]", "within 5 % [ms]", "within 1 % [ms]", '`stop="converged"` [ms]', "its gap"),
                 _stop_rows(first, timed, until, best),
             ),
-            takeovers.MEASURED,
-            takeovers.table(left),
         ]
     )
 

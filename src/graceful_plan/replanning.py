@@ -24,7 +24,7 @@ from graceful_plan.query.candidates.departure import at_time
 from graceful_plan.query.endpoints.configurations import configurations_of, wrapped_near
 from graceful_plan.query.endpoints.goals import Goal, has_poses
 from graceful_plan.query.endpoints.lead_in import Takeover
-from graceful_plan.query.stop import plan_stop, surely_collides
+from graceful_plan.query.stop import quickest_stop, surely_collides
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
@@ -68,7 +68,8 @@ def replan(
         goal: See `plan`; by default the end of `motion`.
         w: Safety weight; see `plan`.
         objective: Objective to minimise; see `plan`.
-        time_limit: Time budget of the whole call [s]; 0.1 by default, unlimited if `iterations` is given.
+        time_limit: Time budget of the whole call [s]; 0.1 by default, unlimited if `iterations` is given. Only the
+            search for a stop along a blocked motion goes on beyond it.
         iterations: Planner iterations; see `plan`.
         seed: Seed of all random numbers.
         speed: Fraction of the velocity limits to use; the robot must not be faster at `at`.
@@ -96,11 +97,13 @@ def replan(
     motion = motion.since(min(at, float(motion.t[-1])) - _REMEMBERED)
     rest = motion.since(at)
     leads = goal is None or _reaches(rest.q[-1], goal, scene)
+    began = time.perf_counter()
     kept = _kept(motion, rest, scene, asked)
+    verdict_seconds = time.perf_counter() - began
 
     @cache
-    def stop() -> PlanResult:
-        return plan_stop(motion, scene, at=at, constraints=asked)
+    def stop() -> tuple[Trajectory, Verdict] | None:
+        return quickest_stop(motion, scene, float(at), asked)
 
     if not kept.passed:
         stop()  # first, since planning may use up the time
@@ -109,7 +112,8 @@ def replan(
         motion.q[-1] if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
-        time_limit=None if limit is None else max(0.0, limit - (time.perf_counter() - started)),
+        # A new motion needs a verdict, too, which takes about as long.
+        time_limit=None if limit is None else max(0.0, limit - verdict_seconds - (time.perf_counter() - started)),
         iterations=iterations,
         seed=seed,
         speed=speed,
@@ -127,8 +131,8 @@ def replan(
         return replace(found, trajectory=found.trajectory.later(at))
     if kept.passed:
         return _along(found, rest, kept, f"{found.detail}; the trajectory is the rest of the present motion")
-    if (halt := stop().trajectory) is not None:
-        return _along(found, halt, stop().verdict, f"{found.detail}; the trajectory is a stop")
+    if (halt := stop()) is not None:
+        return _along(found, *halt, f"{found.detail}; the trajectory is a stop")
     return found
 
 
@@ -161,14 +165,19 @@ def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple
     return verify(rest, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
 
 
-def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult] | None, onward: Path | None) -> Takeover:
+def _takeover(
+    motion: Trajectory,
+    at: float,
+    stop: Callable[[], tuple[Trajectory, Verdict] | None] | None,
+    onward: Path | None,
+) -> Takeover:
     """Return the start of the new motion, whose time is 0 at `at`.
 
     A stop along the present motion takes long to find, so it is not looked for where that motion is kept anyway.
     """
 
     def halt() -> Trajectory | None:
-        found = None if stop is None else stop().trajectory
-        return None if found is None else found.later(-at)
+        found = None if stop is None else stop()
+        return None if found is None else found[0].later(-at)
 
     return Takeover(motion.at(float(at)), before=motion.later(-at), stop=halt, onward=onward)

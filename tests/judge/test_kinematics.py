@@ -16,6 +16,8 @@ from graceful_plan.scene.scene import Scene
 _TOLERANCE = 1e-9
 """Error of poses [m or of a unit axis]: some hundred roundings, a few metres from the origin."""
 SCENES = (*scenes(), *mobile_scenes())
+_POINT = np.array([0.1, -0.2, 0.3])
+"""A point of the carried object [m]."""
 
 _ODD = """
 <mujoco>
@@ -105,6 +107,8 @@ def _check(scene: Scene, n: int = 5) -> None:
         if scene.carried is not None:
             body = scene.model.body(scene.carried.body).id
             wanted.append(_pose(data.xpos[body], data.xmat[body]))
+            point = wanted[1] @ np.append(_POINT, 1.0)
+            np.testing.assert_allclose(known.held_point(q, _POINT)[k], point[:3], atol=_TOLERANCE)
         np.testing.assert_allclose(held[:, k], wanted, atol=_TOLERANCE)
         point, axis = axes[:, k, :3, 0], axes[:, k, :3, 1]
         np.testing.assert_allclose(axis, data.xaxis[joints], atol=_TOLERANCE)
@@ -141,6 +145,10 @@ def test_blocks_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("graceful_plan.judge.kinematics._BLOCK", 7)
     np.testing.assert_allclose(known.poses(q, known.geoms), whole, rtol=0.0, atol=1e-15)
     assert known.poses(q[:0], known.geoms).shape == (len(whole), 0, 4, 4)
+    points = known.held_point(q, _POINT)
+    monkeypatch.setattr("graceful_plan.judge.kinematics._POINT_BLOCK", 7)
+    np.testing.assert_allclose(known.held_point(q, _POINT), points, rtol=0.0, atol=1e-15)
+    assert known.held_point(q[:0], _POINT).shape == (0, 3)
 
 
 def test_levers_are_distances_from_the_axes_to_the_far_side_of_bounding_spheres() -> None:

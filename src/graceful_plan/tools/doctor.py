@@ -20,7 +20,7 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
-PACKAGES = ("numpy", "mujoco", "mink", "toppra", "ompl", "casadi", "python-fcl", "scipy", "matplotlib")
+PACKAGES = ("numpy", "mujoco", "toppra", "ompl", "casadi", "python-fcl", "scipy", "matplotlib")
 _SCENE = "tabletop"
 _SAMPLES = 200
 _TOLERANCE = 1e-6

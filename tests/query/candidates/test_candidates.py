@@ -14,6 +14,9 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.query import answer as answer_module
 from graceful_plan.query.arguments import checked_flag, checked_stop
 from graceful_plan.query.candidates.candidates import rounds
+from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.request import Request
+from graceful_plan.query.verification import VerifiedMotion
 from graceful_plan.result import Check, PlanStatus, Verdict
 
 LIMIT = 60.0
@@ -83,6 +86,20 @@ def test_more_work_is_never_worse_than_the_first_motion(task: gp.Task) -> None:
         totals.append(result.cost.total)
         assert result.cost.total <= result.stats["first_motion_cost"]
     assert totals[-1] <= totals[0]
+
+
+def test_once_the_time_is_up_no_further_motion_is_verified(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, late, looks = time.perf_counter, [0.0], list[Motion]()
+
+    def refused(motion: Motion, request: Request) -> VerifiedMotion:
+        looks.append(motion)
+        late[0] = 2.0 * LIMIT
+        return VerifiedMotion(motion=motion, verdict=Verdict(checks={"collision": Check()}))
+
+    monkeypatch.setattr(answer_module, "judged", refused)
+    monkeypatch.setattr(time, "perf_counter", lambda: clock() + late[0])
+    assert gp.plan(task.start, task.goal, task.scene, time_limit=LIMIT).status is PlanStatus.TIMEOUT
+    assert len(looks) == 1
 
 
 def test_a_call_that_has_converged_ends_before_its_budget(task: gp.Task) -> None:

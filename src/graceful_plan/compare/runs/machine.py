@@ -10,7 +10,7 @@ from pathlib import Path
 from graceful_plan._version import __version__
 from graceful_plan.core.kernels import instruction_sets
 
-PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy", "casadi")
+PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "scipy", "casadi")
 
 
 def describe() -> dict[str, str]:

@@ -51,7 +51,7 @@ def candidates(
             try:
                 for motion in source.first(budget):
                     yield motion
-                    if best.motion is not None:
+                    if best.motion is not None or budget.remaining_seconds == 0.0:
                         break
             except RetimingError as error:
                 best.why_not = str(error)

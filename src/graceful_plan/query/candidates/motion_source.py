@@ -105,6 +105,10 @@ class MotionSource:
             yield from (with_cost(motion, self._request) for motion in self._related.first(budget))
             return
         path = self._first.found.paths[-1]
+
+        def late() -> bool:
+            return budget.remaining_seconds == 0.0
+
         if self._descents is not None and path.length > 0.0:
             # A cancelled call has no budget left, but the first descent takes a millisecond.
             limit = Budget(time_limit=_FIRST_DESCENT) if budget.cancelled() else budget
@@ -112,7 +116,9 @@ class MotionSource:
             motion = None if result is None else timed_curve(result, self._request)
             if motion is not None:
                 yield motion
-        yield from along(path, self._request, self._ends)
+            elif result is not None and late():
+                return
+        yield from along(path, self._request, self._ends, late)
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
         """Yield motions of one round; motions from descents only if ranked before the best-known one."""

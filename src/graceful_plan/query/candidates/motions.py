@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -55,11 +55,17 @@ def timed_curve(found: DescentResult, request: Request) -> Motion | None:
     return replace(motion, estimate=found.value - price_of_time(request) * trajectory.duration)
 
 
-def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
+def along(path: Path, request: Request, ends: Endpoints, late: Callable[[], bool] = lambda: False) -> Iterator[Motion]:
     """Yield motions along a polyline that cut its corners less and less.
 
     The first one cuts each corner as far as the fast checker finds it free. From a moving start, further ones stop at
     the end of the lead-in.
+
+    Args:
+        path: Path of the search.
+        request: The request.
+        ends: Both ends.
+        late: Whether the time is up; then no motion after the first one is timed.
 
     Raises:
         RetimingError: If even the polyline itself cannot be timed.
@@ -73,6 +79,8 @@ def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
         except RetimingError:
             if deviation is choices[-1]:
                 raise
+        if late():
+            return
         if request.lead is not None:
             yield from _stopping(whole, deviation, arrival, request, request.lead)
 

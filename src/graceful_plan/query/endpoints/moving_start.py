@@ -112,7 +112,7 @@ def _stoppable(
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
     why = ""
-    for stop, is_straight in _stops(state, held, speed, takeover):
+    for stop, is_straight in _stops(state, held, speed, takeover, late):
         if late():
             return PlanResult(status=PlanStatus.TIMEOUT, detail="start: the robot moves, and no stop was found in time")
         verdict = verify(
@@ -143,23 +143,25 @@ def _tangent(path: Path, velocity: Float[Array, " nq"]) -> Path:
 
 
 def _stops(
-    state: State, held: SceneConstraints, speed: float, takeover: Takeover | None
+    state: State, held: SceneConstraints, speed: float, takeover: Takeover | None, late: Callable[[], bool]
 ) -> Iterator[tuple[Trajectory, bool]]:
     """Yield stops to try: straight ones, one along the former motion, and one in which every joint brakes by itself.
 
-    Each comes with whether it is straight.
+    Each comes with whether it is straight. Once it is late, no more stops are timed.
     """
-    yield from ((straight, True) for straight in _straight(state, held, speed))
-    if takeover is not None and (along := takeover.stop()) is not None:
+    yield from ((straight, True) for straight in _straight(state, held, speed, late))
+    if takeover is not None and not late() and (along := takeover.stop()) is not None:
         yield along, False
     yield _each_joint(state, held.scene, speed), False
 
 
-def _straight(state: State, held: SceneConstraints, speed: float) -> Iterator[Trajectory]:
+def _straight(state: State, held: SceneConstraints, speed: float, late: Callable[[], bool]) -> Iterator[Trajectory]:
     """Yield straight stops from the shortest one on; with contents, longer ones are gentler."""
     size = float(np.linalg.norm(state.qd))
     seconds = float((np.abs(state.qd) / (speed**2 * held.scene.limits.acceleration)).max())
     for longer in _LONGER if held.felt else _LONGER[:2]:
+        if late():
+            return
         length = max(_SHORTEST, longer * 0.5 * size * seconds)
         line = Path(np.stack([state.q, state.q + length / size * state.qd]))
         try:

@@ -1,9 +1,8 @@
-"""Inverse kinematics of one pose: all seeds at once in the core, or one by one with mink, which includes limits."""
+"""Inverse kinematics of one pose, from many seeds at once in the core."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -21,15 +20,13 @@ _FINE = np.array([0.005, 0.05])
 """Tolerances up to which the search first aims at the pose itself [m, rad]; greater ones are aimed at as sets."""
 _AIMED, _ACCEPTED = 0.9, 0.99
 """Shares of the tolerances: radius of the set that the search aims at, and largest error of a solution."""
-_EXACT = 1e-10
-"""Sum of position and orientation error [m + rad] below which more iterations of mink change only the rounding."""
 _PATIENCE = 10
 """Iterations within which a seed has to make progress."""
 
 
 @final
 class PoseSolver:
-    """Two solvers for one pose: the core iterates from many seeds at once, and mink polishes single configurations."""
+    """A solver for one pose: the core iterates from many seeds at once."""
 
     def __init__(
         self,
@@ -70,54 +67,6 @@ class PoseSolver:
             seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held, radius=radius, ease=self.ease
         )
         return q, within(missing, *rest.T), missing
-
-    def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Move configurations to the pose with mink; no configuration ends farther from the pose than it was.
-
-        Returns:
-            Configurations that reached the pose, and all final configurations, the best first.
-        """
-        ended = q.copy()
-        errors = np.array([self.errors(configuration) for configuration in q])
-        for i, configuration in enumerate(q):
-            for _ in range(iterations):
-                if self.cancelled():
-                    break
-                configuration = self._mink_step(configuration)
-                error = self.errors(configuration)
-                if sum(error) < errors[i].sum() - _EXACT:
-                    ended[i], errors[i] = configuration, error
-                if sum(error) <= _EXACT:
-                    break
-        exact, near = ((errors <= share * tolerances(self.goal)).all(axis=1) for share in (PRECISION, _ACCEPTED))
-        return ended[exact if exact.any() else near], ended[np.argsort(errors.sum(axis=1), kind="stable")]
-
-    @cached_property
-    def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
-        """One iteration of mink as a function of the configuration of the planned joints."""
-        import mink
-
-        task = mink.FrameTask(
-            self.scene.tool,
-            "site",
-            position_cost=1.0,
-            orientation_cost=[1.0, 1.0, 0.0 if self.goal.free_yaw else 1.0],
-            lm_damping=1e-3,
-        )
-        task.set_target(mink.SE3.from_matrix(self.goal.X_WT))
-        adr = self.scene.qpos_adr
-        limit = mink.ConfigurationLimit(self.scene.model, gain=1.0)
-        limit.lower[adr], limit.upper[adr] = self.lower, self.upper
-        qpos = self.scene.home_qpos.copy()
-        configuration = mink.Configuration(self.scene.model, qpos)
-
-        def step(q: Float[Array, " nq"]) -> Float[Array, " nq"]:
-            qpos[adr] = q
-            configuration.update(qpos)
-            velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-9, limits=[limit])
-            return np.clip(configuration.integrate(velocity, 1.0)[adr], self.lower, self.upper)
-
-        return step
 
     def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
         """Return the position [m] and orientation error [rad] of a configuration."""

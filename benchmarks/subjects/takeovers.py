@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -12,6 +13,12 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.query.endpoints.goals import Goal
 
+TITLE = "Takeovers: motions from a robot that moves"
+QUESTION = (
+    "Do motions taken over from a moving robot continue its velocity, keep limits and contents, and reach the goal?"
+)
+HEADLINE = "takeovers with a velocity step"
+DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/replanning.py")
 COUNT = 1000
 TASKS = (
     "tabletop/lift_to_goal",
@@ -28,11 +35,13 @@ ITERATIONS = 15
 STEP = 0.01
 """Largest accepted step of a velocity, relative to its limit."""
 MEASURED = f"""\
-**Takeovers.** Motions of {len(TASKS)} tasks with blocks, a book and a cup of coffee, planned at full and at half speed,
+Motions of {len(TASKS)} tasks with blocks, a book and a cup of coffee, planned at full and at half speed,
 are left at random moments for the start or the goal of another task with the same object. "Takeover" is
 `replan(goal=...)`, "stop and plan" is `plan_stop` at the same moment and `plan` from its end, both with
 {ITERATIONS} iterations. Each motion is checked by exact geometry everywhere, sampled every millisecond for limits, and
 joined with the motion before it for contents; stop and plan counts as solved only if its contents stay in, too.
+"Speed left at" is the largest joint speed at the takeover, relative to its limit. Calls share the computer with those
+of other processes.
 """
 _DT = 1e-3
 _TOLERANCE = 1e-6
@@ -57,11 +66,11 @@ class Takeover:
     seconds: float
 
 
-def measure(count: int, first: int = 0) -> list[Takeover]:
-    """Return takeovers, in turn of each task and speed."""
-    cases = [(name, speed) for name in TASKS for speed in SPEEDS]
-    motions = {case: _motion(*case) for case in cases}
-    return [_takeover(*cases[k % len(cases)], motions[cases[k % len(cases)]], k) for k in range(first, first + count)]
+def run(options: suite.Options) -> str:
+    """Measure takeovers, in turn of each task and speed."""
+    seeds = range(options.pick(COUNT, quick=len(TASKS) * len(SPEEDS)))
+    found = list(suite.spread(takeover, seeds, options.processes, "takeovers"))
+    return f"{report.targets(targets(found))}\n{MEASURED}\n{table(found)}"
 
 
 def targets(found: Sequence[Takeover]) -> Iterator[report.Target]:
@@ -102,10 +111,12 @@ def table(found: Sequence[Takeover]) -> str:
                     f"{ms.max():.0f}",
                 )
             )
+    rows.append(("base (Jackal)", "", "", "refused by name", "", "", "", "", ""))
     heads = ("object", "speed", "n", "solved", "stop and plan", "duration, over stop and plan", "speed left at")
     return report.table((*heads, "call [ms]", "most"), rows)
 
 
+@cache
 def _motion(name: str, speed: float) -> gp.Trajectory:
     task = suite.task(name)
     return gp.plan(task.start, task.goal, task.scene, speed=speed, iterations=100).unwrap()
@@ -119,8 +130,11 @@ def _goals(name: str) -> list[Goal]:
     return [goal for one in same or [mine] for goal in (one.start, one.goal)]
 
 
-def _takeover(name: str, speed: float, motion: gp.Trajectory, seed: int) -> Takeover:
-    scene, rng = suite.task(name).scene, np.random.default_rng(seed)
+def takeover(seed: int) -> Takeover:
+    """Return one random takeover; seeds go through tasks and speeds in turn."""
+    cases = [(name, speed) for name in TASKS for speed in SPEEDS]
+    name, speed = cases[seed % len(cases)]
+    motion, scene, rng = _motion(name, speed), suite.task(name).scene, np.random.default_rng(seed)
     at = float(rng.uniform(0.02, 0.98)) * motion.duration
     goals = _goals(name)
     goal, state = goals[rng.integers(len(goals))], motion.at(at)
