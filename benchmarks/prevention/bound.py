@@ -219,12 +219,19 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
             f"Named motions, {kind}:\n",
             report.table(_SHARES, [_share_row(found, kind, name) for name in (*names, "best")]),
         ]
+    parts += [
+        f"A heavier weight, against w = {WEIGHTS[0]:g} with the same prior:\n",
+        report.table(
+            _HEAVIER, [row for kind in sizes for prior in PRIORS for row in _heavier_rows(found, kind, prior)]
+        ),
+    ]
     parts += ["Task by task, times less harm per executed task than at w = 0:\n"]
     parts += [report.table(_TASKS, [_task_row(one, kind) for kind in sizes for one in found])]
     return "\n".join(parts)
 
 
 _SHARES = ("motion", "harm per task, x less, median", "geometric mean", "share of what is attainable", "duration")
+_HEAVIER = ("failures", "prior", "w", "harm per task, x less, geometric mean", "worse", "better", "duration")
 _TASKS = (
     "task", "failures", "motions", "default", "service", "arm", "default, w = 1", "w = 3", "best", "which", "duration"
 )  # fmt: skip
@@ -264,6 +271,21 @@ def _share_row(found: Sequence[Bound], kind: str, name: str) -> Sequence[object]
     share = "" if name == "best" else str(share_of(found, kind, name))
     geometric = float(np.exp(np.mean(np.log(ratio))))
     return name, f"{np.median(ratio):.2f}", f"{geometric:.2f}", share, f"{100.0 * (longer - 1.0):+.0f} %"
+
+
+def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Sequence[object]]:
+    light = name_of(prior, WEIGHTS[0])
+    for w in WEIGHTS[1:]:
+        heavy = name_of(prior, w)
+        both = [one for one in found if {light, heavy} <= one.second[kind].keys()]
+        if not both:
+            continue
+        logs = np.array([np.log((1.0 - one.less(kind, light)) / (1.0 - one.less(kind, heavy))) for one in both])
+        found_ratio = cluster_bootstrap(logs, np.arange(len(logs)), resamples=2000)
+        mean, low, high = np.exp([found_ratio.mean, found_ratio.low, found_ratio.high])
+        longer = np.median([one.duration[heavy] / one.duration[light] for one in both])
+        sides = (np.count_nonzero(logs < 0.0), np.count_nonzero(logs > 0.0))
+        yield kind, prior, f"{w:g}", f"{mean:.2f} [{low:.2f}, {high:.2f}]", *sides, f"{100.0 * (longer - 1.0):+.0f} %"
 
 
 def _task_row(one: Bound, kind: str) -> Sequence[object]:

@@ -42,6 +42,7 @@ def test_the_tables_show_every_task_and_the_best_motion():
     assert len(
         [line for line in text.splitlines() if "share of what is attainable |" in line and ">= 0.9" in line]
     ) == (len(PRIORS) * len(SIZES))
+    assert "| drops | default | 1 | 1.00 [1.00, 1.00] | 0 | 0 | +0 % |" in text
     assert "No task is finished" in bound_table([], SIZES)
 
 
