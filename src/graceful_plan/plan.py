@@ -111,8 +111,9 @@ def plan(
         max_wait: Longest wait before the motion starts [s], in a scene with moving entities (see `departure`). The
             trajectory then begins with a stretch at rest.
         candidates: Largest number of motions in `result.candidates`: motions of different homotopy classes or postures
-            that the search meets anyway, at least 0.3 rad apart (see `query.candidates.distinct`). They take no more
-            planning time: a fifth of the time limit at most is reserved to verify them.
+            that the search meets anyway, at least 0.3 rad apart (see `query.candidates.distinct`) and at most twice as
+            costly as the best. They take no more planning time: a fifth of the time limit at most is reserved to verify
+            them.
         start_tolerance: Distance outside of a limit at which a joint may start [rad or m]; a tenth of it is the depth
             of a contact in which the robot may start [m]. The motion then begins with a verified piece that leads back
             inside, and `detail` says so.
