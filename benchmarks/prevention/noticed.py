@@ -121,7 +121,7 @@ def noticed_section(found: Sequence[Noticed]) -> Iterator[str]:
     )
     rows = [_row(name, faults, found) for name, faults in (("arm", ARM), ("gripper", GRIPPER))]
     yield report.table(header, [*rows, *(_row(fault, (fault,), found) for fault in ARM)])
-    yield "Faults of the arm, task by task:\n"
+    yield f"Faults of the arm, task by task, {len(found)} of {len(TASKS)} tasks:\n"
     yield report.table(header, [_row(one.task, ARM, [one]) for one in found])
 
 
