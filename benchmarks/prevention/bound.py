@@ -210,7 +210,8 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
     told = "; ".join(f"{kind}: {a} failures of each motion choose, {b} judge" for kind, (a, b) in sizes.items())
     parts = [
         MEASURED,
-        f"{len(found)} of {len(TASKS)} tasks, {unseen} of them unseen, with {min(counts)} to {max(counts)} motions. {told}.\n",
+        f"{len(found)} of {len(TASKS)} tasks, {unseen} of them unseen, with {min(counts)} to {max(counts)} motions."
+        f" {told}.\n",
         report.targets(_targets(found)),
     ]
     for kind in sizes:

@@ -144,8 +144,8 @@ def choice_section(found: Sequence[Choice]) -> Iterator[str]:
     )
     low, mean, high = np.exp([geometric.low, geometric.mean, geometric.high])
     yield (
-        f"{len(done)} of {len(TASKS)} tasks; geometric mean {mean:.2f} [{low:.2f}, {high:.2f}]; processor time of a choice: "
-        f"{np.median([one.seconds for one in done]):.1f} s in the median.\n"
+        f"{len(done)} of {len(TASKS)} tasks; geometric mean {mean:.2f} [{low:.2f}, {high:.2f}]; processor time of a"
+        f" choice: {np.median([one.seconds for one in done]):.1f} s in the median.\n"
     )
     header = ("task", "candidates", "failures", "chosen", "sure", "x less", "95 %", "duration", "processor time")
     yield report.table(header, [_row(one) for one in found])

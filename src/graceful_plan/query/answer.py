@@ -137,7 +137,7 @@ class BestVerified:
         """Verify motions that are distinct from the best one and from each other, as far as asked for and time allows.
 
         Args:
-            source: The source of the motions so far; it makes motions of the other local minima that it has found.
+            source: The source of the call's motions; it makes motions of the other local minima that it has found.
         """
         if self._best is None:
             return
