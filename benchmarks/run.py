@@ -196,7 +196,9 @@ def _parser() -> argparse.ArgumentParser:
     own.add_argument("--drops", type=int, metavar="N", help="drops per motion")
     own.add_argument("--mixed", type=int, metavar="N", help="mixed failures per motion")
     own.add_argument("--weights", type=float, nargs="+", metavar="W", help="weights of the impact models")
-    parser.add_argument("--bound", action="store_true", help="mobile_prevention: the best of many motions, hours")
+    parser.add_argument(
+        "--bound", action="store_true", help="prevention and mobile_prevention: the best of many motions"
+    )
     return parser
 
 

@@ -58,7 +58,7 @@ class Options:
     weights: tuple[float, ...] | None = None
     """Weights of the impact models over which harm is measured."""
     bound: bool = False
-    """For `mobile_prevention`: measure the harm that the best of many motions prevents."""
+    """For `prevention` and `mobile_prevention`: measure the harm that the best of many motions prevents."""
 
     def pick(self, normal: T, *, quick: T, long: T | None = None) -> T:
         """Return the sizes for a normal, quick or long run; a long run without its own sizes uses the normal ones."""

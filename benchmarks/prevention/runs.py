@@ -171,7 +171,7 @@ def do_headline(job: HeadlineJob) -> Headline:
         motions[label] = replace(motion, **_without_failure(reports))
         reference = reports if label == NONE else reference
     rate = FAILURES_PER_HOUR
-    return Headline(task=job.task, grasp=grasp, least=_least(task.scene), rate=rate, motions=motions)
+    return Headline(task=job.task, grasp=grasp, least=least_severity(task.scene), rate=rate, motions=motions)
 
 
 def do_curve(job: CurveJob) -> Curve:
@@ -285,7 +285,7 @@ def _motion(result: gp.PlanResult, w: float, refused: str, harm: Mapping[str, Ha
     return Motion(w=w, refused=refused, length=length, duration=result.trajectory.duration, harm=harm)
 
 
-def _least(scene: gp.Scene) -> float:
+def least_severity(scene: gp.Scene) -> float:
     """Return the least positive severity of a scene."""
     return min(s for entity in scene.entities.values() for s in entity.severity.values() if s > 0.0)
 

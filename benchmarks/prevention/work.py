@@ -17,9 +17,7 @@ from benchmarks.prevention.runs import (
     MODELS,
     NONE,
     OURS,
-    Curve,
     CurveJob,
-    Headline,
     HeadlineJob,
     read_curves,
     read_headlines,
@@ -61,9 +59,7 @@ def curve_jobs(names: Mapping[str, Sequence[str]], heads: Path, file: Path, size
     return jobs
 
 
-def fill(
-    file: Path, jobs: Sequence[Any], do: Callable[[Any], Headline | Curve], options: suite.Options, what: str
-) -> None:
+def fill(file: Path, jobs: Sequence[Any], do: Callable[[Any], object], options: suite.Options, what: str) -> None:
     """Do jobs in processes and append a line for each to the file, until the time limit."""
     until = math.inf if options.seconds is None else time.monotonic() + options.seconds
     store.fill(file, jobs, do, processes=options.processes, label=what, until=until)

@@ -6,7 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks import suite
+from benchmarks.prevention.bound import bound_jobs, bound_sizes, bound_table, do_bound, read_bounds
+from benchmarks.prevention.choosing import choice_jobs, choice_section, do_choice, read_choices
 from benchmarks.prevention.figures import draw
+from benchmarks.prevention.noticed import do_noticed, noticed_jobs, noticed_section, read_noticed
 from benchmarks.prevention.runs import (
     ALL_FAULTS,
     NONE,
@@ -71,7 +74,12 @@ per task from the lower envelope over the weights, including w = 0, and interpol
 
 
 def run(options: suite.Options) -> str:
-    """Do the jobs that are left, and report on all finished ones; a long run adds the curves and their picture."""
+    """Do the jobs that are left, and report on all finished ones; a long run adds the curves and their picture.
+
+    With `options.bound`, measure what the best of many motions prevents instead.
+    """
+    if options.bound:
+        return _bound(options)
     names = task_names(options)
     asked = [name for all_of in names.values() for name in all_of]
     parts = [MEASURED, *_headline(options, names, asked)]
@@ -91,6 +99,19 @@ def sizes_of(options: suite.Options) -> Sizes:
     weights, relative = options.pick((WEIGHTS, RELATIVE), quick=((1.0,), (3.0,)))
     drops = options.drops or options.pick(CURVE_DROPS, quick=8)
     return Sizes(drops=drops, weights=options.weights or weights, relative=relative)
+
+
+def _bound(options: suite.Options) -> str:
+    with kept(options) as folder:
+        file = folder / f"bound.{SEED}{'.long' if options.long else ''}.jsonl"
+        choices = folder / f"choices.{SEED}.jsonl"
+        fill(file, bound_jobs(file, options), do_bound, options, "bound")
+        fill(choices, choice_jobs(choices, options), do_choice, options, "choices")
+        noticed = folder / f"noticed.{SEED}.jsonl"
+        fill(noticed, noticed_jobs(noticed, options), do_noticed, options, "noticed failures")
+        parts = [bound_table(read_bounds(file), bound_sizes(options)), *choice_section(read_choices(choices))]
+        parts += noticed_section(read_noticed(noticed))
+    return "\n".join(parts)
 
 
 def _headline(options: suite.Options, names: Mapping[str, Sequence[str]], asked: Sequence[str]) -> Iterator[str]:

@@ -29,7 +29,7 @@ from failbench.rollouts.sampling import check_whole, make_jobs, thread_count
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
 from failbench.validation import Motion, Scenarios, chosen_faults
-from graceful_plan import Scene
+from graceful_plan import PlanResult, Scene
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
@@ -74,7 +74,7 @@ class MotionChoice:
 
 
 def choose(
-    motions: Sequence[Motion],
+    motions: PlanResult | Sequence[Motion],
     scene: Scene,
     scenarios: Scenarios = "*/*/severe",
     *,
@@ -90,7 +90,7 @@ def choose(
     """Choose the motion that does the least harm per executed task in simulated failures.
 
     Args:
-        motions: Motions, as for `validate`.
+        motions: Motions, as for `validate`; or the result of `plan(..., candidates=8)`, for its candidates.
         scene: The scene with the carried object attached: `task.scene`.
         scenarios: Faults, as for `validate`.
         seconds: Time after which no further round begins [s].
@@ -106,10 +106,13 @@ def choose(
     Raises:
         SettingError: If there are no motions, or a setting is out of range.
         ExecutionRefused: If no motion can be executed.
+        PlanningFailed: If `motions` is the result of a failed plan.
         UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
     """
     began = time.perf_counter()
-    if not motions:
+    if isinstance(motions, PlanResult):
+        motions = motions.candidates or (motions,)
+    if not len(motions):
         raise SettingError("motions", motions, "at least one motion")
     for name, value in (("seconds", seconds), ("rate", rate)):
         if not (is_real(value) and 0.0 <= value < np.inf):

@@ -21,6 +21,7 @@ from graceful_plan.query.answer import BestVerified
 from graceful_plan.query.arguments import (
     checked_callback,
     checked_cancelled,
+    checked_candidates,
     checked_flag,
     checked_objective,
     checked_planner,
@@ -35,7 +36,7 @@ from graceful_plan.query.arguments import (
     driving_planner,
 )
 from graceful_plan.query.base_planning import base_planning
-from graceful_plan.query.candidates.candidates import candidates
+from graceful_plan.query.candidates.candidates import motions_to_verify
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
@@ -72,6 +73,7 @@ def plan(
     speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
+    candidates: int = 1,
     start_tolerance: float = START_TOLERANCE,
     constraints: Iterable[Constraint] | None = None,
     verification: VerificationSettings | None = None,
@@ -109,6 +111,10 @@ def plan(
             along a path. The best path by the measure is then selected and refined by it (see `prefer`).
         max_wait: Longest wait before the motion starts [s], in a scene with moving entities (see `departure`). The
             trajectory then begins with a stretch at rest.
+        candidates: Largest number of motions in `result.candidates`: motions of different homotopy classes or postures
+            that the search meets anyway, at least 0.3 rad apart (see `query.candidates.distinct`) and at most twice as
+            costly as the best. They take no more planning time: a fifth of the time limit at most is reserved to verify
+            them.
         start_tolerance: Distance outside of a limit at which a joint may start [rad or m]; a tenth of it is the depth
             of a contact in which the robot may start [m]. The motion then begins with a verified piece that leads back
             inside, and `detail` says so.
@@ -137,6 +143,7 @@ def plan(
     share, measure = checked_speed(speed), checked_risk(risk)
     ready = prepared(scene, checked_objective(objective, w), constraints, share)
     bound, asked = ready.objective, ready.constraints
+    passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
     request = Request(
         planner=chosen,
         objective=bound,
@@ -148,11 +155,11 @@ def plan(
         refine=checked_flag("refine", refine),
         stop=checked_stop(stop, limited=not (time_limit is None and iterations is None)),
         callback=checked_callback(callback),
+        candidates=checked_candidates(candidates, via=bool(passed)),
     )
     rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)
     # Compiling counts against a time limit that the caller has set, not against the default one.
     budget = Budget(limit, iterations, checked_cancelled(cancelled), started + (time_limit is None) * ready.total)
-    passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
     also_stops = checked_flag("stoppable", stoppable)
     begun = find_start(
         start, asked, tolerance, share, late=lambda: budget.over, max_wait=request.max_wait, stops=bool(passed)
@@ -189,7 +196,7 @@ def plan(
     request = replace(request, takeover=real.takeover if real.first is None else None)
     try:
         best = BestVerified(request, ends, budget)
-        for motion in candidates(request, ends, budget, rng, best):
+        for motion in motions_to_verify(request, ends, budget, rng, best):
             best.consider(motion)
         result = real.completed(best.result(), request)
     except NonFiniteCostError as error:

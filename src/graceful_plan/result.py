@@ -169,6 +169,9 @@ class PlanResult:
     """Details of the status, e.g. the pair in contact and its depth, or the joint at its limit."""
     goal_index: int | None = None
     """Index of the goal that is reached, among several."""
+    candidates: tuple[PlanResult, ...] = ()
+    """Distinct verified motions that the call has found: this one first, then by cost; empty unless `plan` was asked
+    for several."""
     stats: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the call, such as seconds per stage and iterations."""
     stops: PreparedStops | None = None
@@ -189,6 +192,9 @@ class PlanResult:
             worst = sorted(cost.impact_by_entity.items(), key=lambda item: -item[1])[:_WORST]
             if harmed := [f"{name} {value:.3g}" for name, value in worst if value > 0.0]:
                 lines.append(f"impact by entity [{cost.impact_unit}]: {', '.join(harmed)}")
+        if self.candidates:
+            costs = ", ".join(f"{candidate.cost.total:.4g}" for candidate in self.candidates)
+            lines.append(f"{len(self.candidates)} distinct motions, J = {costs} rad")
         for name in (*self.verdict.failures, *self.verdict.warnings):
             word = "failed" if name in self.verdict.failures else "warning"
             lines.append(f"{word}: {name}: {self.verdict.checks[name].detail}")

@@ -78,3 +78,21 @@ def test_misuse_is_refused(motions):
     for motions_, settings in (([], {}), (three, {"seconds": -1.0}), (three, {"rounds": 0}), (three, {"rate": np.nan})):
         with pytest.raises(SettingError):
             failbench.choose(motions_, scene, DROPS, **settings)
+
+
+def test_the_candidates_of_a_result_race(motions):
+    scene = motions[0]
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    result = gp.plan(task.start, task.goal, task.scene, iterations=700, speed=0.6, candidates=3)
+    settings = {"seconds": 600.0, "rounds": 1, "threads": 1}
+    found = failbench.choose(result, scene, DROPS, **settings)
+    same = failbench.choose(result.candidates, scene, DROPS, **settings)
+    assert (found.best, found.harm, found.n) == (same.best, same.harm, same.n)
+    single = failbench.choose(gp.plan(task.start, task.goal, task.scene, iterations=50), scene, DROPS, **settings)
+    assert single.best == 0 and single.sure
+
+
+def test_a_failed_plan_is_refused(motions):
+    failed = gp.plan(np.full(7, 9.0), "home", motions[0], iterations=10)
+    with pytest.raises(gp.PlanningFailed):
+        failbench.choose(failed, motions[0], DROPS)

@@ -51,6 +51,7 @@ def descend_from(
     budget: Budget,
     rng: np.random.Generator,
     best: Sequence[DescentResult] = (),
+    screened: list[DescentResult] | None = None,
 ) -> Iterator[DescentResult]:
     """Yield free curves from descents, then refinements of the best curves.
 
@@ -62,9 +63,10 @@ def descend_from(
         budget: Budget of the round.
         rng: Random numbers for bends.
         best: Results of earlier rounds, which may be refined, too.
+        screened: Receives the free curves of the coarse and middle stages, most of which are not descended further.
     """
     with ThreadPoolExecutor(_WORKERS) as pool:
-        yield from _Round(descents, starts, budget, rng, pool, list(best)).run()
+        yield from _Round(descents, starts, budget, rng, pool, list(best), [] if screened is None else screened).run()
 
 
 @dataclass
@@ -77,18 +79,19 @@ class _Round:
     rng: np.random.Generator
     pool: Executor
     results: list[DescentResult]
+    screened: list[DescentResult]
 
     def run(self) -> Iterator[DescentResult]:
         settings, budget = self.descents.settings, self.budget
-        coarse, before = list[DescentResult](), len(self.results)
-        jobs = self._screened(coarse) if settings.screens else list(self.starts[: settings.fine])
+        before, earlier = len(self.results), len(self.screened)
+        jobs = self._screened(self.screened) if settings.screens else list(self.starts[: settings.fine])
         if settings.hurries:
             for k, found in self._finished(jobs, settings.middle):
                 jobs[k] = _from_curve(jobs[k], found.curve)
                 yield found
         yield from (found for _, found in self._finished(jobs, FINE))
         if len(self.results) == before:  # coarse values are inaccurate, so coarse curves serve only as a fallback
-            self.results += sorted(coarse, key=_value)[:_LEAST]
+            self.results += sorted(self.screened[earlier:], key=_value)[:_LEAST]
             yield from self.results[before:]
         most = _MOST_REFINEMENTS if budget.timed else _UNTIMED_REFINEMENTS
         for _ in range(0, most if settings.refinements is None else settings.refinements, _WORKERS):

@@ -9,7 +9,10 @@ from typing import final
 
 import numpy as np
 
+from graceful_plan.array_types import Float
 from graceful_plan.planners.planner import Budget
+from graceful_plan.query.candidates.distinct import DistinctPaths
+from graceful_plan.query.candidates.maker import MotionMaker
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
@@ -17,10 +20,14 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.verification import VerifiedMotion, judged
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 
+Array = np.ndarray
+
 LAST_STEPS = 0.004
 """Reserve of the time budget for timing and verifying one more motion [s], until a call has measured it."""
 _LAST_STEPS_SHARE = 0.2
-"""Largest reserve, as a share of the time limit."""
+"""Largest reserve, as a share of the time limit, also for several candidates."""
+_MUCH_WORSE = 2.0
+"""Largest ratio of a candidate's ranking to that of the best motion."""
 _GAIN = 1e-3
 """Least relative improvement of the best motion that counts for convergence and optimality."""
 _PATIENCE = 32
@@ -34,7 +41,7 @@ class BestVerified:
     Args:
         request: The request that the motions serve.
         ends: Both ends.
-        budget: Budget of the call; its time limit is shortened by the reserve for one more motion.
+        budget: Budget of the call; its time limit is shortened by the reserve for one more motion per candidate.
     """
 
     def __init__(self, request: Request, ends: Endpoints, budget: Budget) -> None:
@@ -47,6 +54,8 @@ class BestVerified:
         self.why_not = ""
         """Reason why the first path cannot be timed; empty if it can."""
         self._best: VerifiedMotion | None = None
+        self._passed: list[VerifiedMotion] = []
+        self._others: list[VerifiedMotion] = []
         self._refused: VerifiedMotion | None = None
         self._told: list[TracePoint] = []
         self._stopped = False
@@ -103,14 +112,14 @@ class BestVerified:
         """Verify a motion if it is better than the best one and time allows; keep it if it passes."""
         began = time.perf_counter()
         first = self._best is None
-        late = not first and self._budget.elapsed + self._stats["verification_time"] > self._limit
-        if motion.ranking >= self.ranking or late:
+        if motion.ranking >= self.ranking or self._late:
             return
         found = judged(motion, self._request)
         took = time.perf_counter() - began
         if not found.verdict.passed:
             self._refused = self._refused or found
             return
+        self._passed.append(found)
         if self._best is not None and found.verdict.warnings:  # motions without warnings come first
             best = self._best
             if not best.verdict.warnings or motion.ranking >= best.motion.ranking:
@@ -124,6 +133,41 @@ class BestVerified:
         point = TracePoint(time=self._budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact)
         self.tell(point)
 
+    def add_others(self, source: MotionMaker) -> None:
+        """Verify motions that are distinct from the best one and from each other, as far as asked for and time allows.
+
+        Args:
+            source: The source of the call's motions; it makes motions of the other local minima that it has found.
+        """
+        if self._best is None:
+            return
+        best, chosen, paths = self._best, list[VerifiedMotion](), DistinctPaths()
+        paths.add(best.motion.path.q)
+
+        def is_new(q: Float[Array, "n nq"]) -> bool:
+            return not self._late and paths.has_none_like(q)
+
+        def keep(found: VerifiedMotion) -> None:
+            chosen.append(found)
+            paths.add(found.motion.path.q)
+
+        for motion in source.others(is_new):
+            worse = motion.ranking > _MUCH_WORSE * best.motion.ranking
+            if worse or len(chosen) + 1 >= self._request.candidates or self._late or self._budget.cancelled():
+                break
+            if is_new(motion.path.q) and (found := judged(motion, self._request)).verdict.passed:
+                keep(found)
+        for found in sorted(self._passed, key=_ranking):
+            alike = found.motion.ranking <= _MUCH_WORSE * best.motion.ranking
+            if alike and paths.has_none_like(found.motion.path.q):
+                keep(found)
+        self._others = sorted(chosen, key=_ranking)[: self._request.candidates - 1]
+
+    @property
+    def _late(self) -> bool:
+        """Whether no time is left to verify one more motion."""
+        return self._best is not None and self._budget.elapsed + self._stats["verification_time"] > self._limit
+
     def result(self) -> PlanResult:
         """Return the result of the call: the best motion, or the reason why there is none."""
         budget, motion = self._budget, self.motion
@@ -133,16 +177,24 @@ class BestVerified:
             return replace(self._failed(), stats=stats)
         if motion.estimate is not None:
             stats["estimated_total"] = motion.estimate
-        checks = self._best.verdict.checks
+        result = self._solved(self._best)
+        several = self._request.candidates > 1
+        return replace(
+            result,
+            trace=tuple(self._trace(motion.cost.total)),
+            stats=stats,
+            candidates=(result, *map(self._solved, self._others)) if several else (),
+        )
+
+    def _solved(self, found: VerifiedMotion) -> PlanResult:
+        motion, verdict = found.motion, found.verdict
         return PlanResult(
             status=PlanStatus.SOLVED,
-            detail="; ".join(f"{name}: {checks[name].detail}" for name in self._best.verdict.warnings),
+            detail="; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.warnings),
             path=motion.path,
             trajectory=motion.trajectory,
             cost=motion.cost,
-            verdict=self._best.verdict,
-            trace=tuple(self._trace(motion.cost.total)),
-            stats=stats,
+            verdict=verdict,
             goal_index=self._ends.goal_index[motion.arrival],
         )
 
@@ -178,6 +230,7 @@ class BestVerified:
     def _keep(self, seconds: float) -> None:
         """Reserve time at the end of the call for one more motion."""
         if np.isfinite(self._limit):
+            seconds *= self._request.candidates
             self._budget.time_limit = self._limit - min(seconds, _LAST_STEPS_SHARE * self._limit)
 
     def _is_optimal(self, motion: Motion) -> bool:
@@ -190,3 +243,7 @@ class BestVerified:
         start = self._ends.departure.q[0]
         nearest = min(float(np.linalg.norm(arrival.q[-1] - start)) for arrival in self._ends.arrivals)
         return motion.cost.motion <= (1.0 + _GAIN) * nearest
+
+
+def _ranking(found: VerifiedMotion) -> float:
+    return found.motion.ranking

@@ -12,7 +12,7 @@ from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.verification import VerificationSettings
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, is_whole
 from graceful_plan.planners import PLANNERS, Auto, Planner
 from graceful_plan.query.base_planning import base_planning, planners_by_name
 from graceful_plan.query.candidates.search import Callback
@@ -24,6 +24,9 @@ DEFAULT_TIME_LIMIT = 1.0
 
 MOST_OUTSIDE = 0.1
 """Largest tolerance of a start [rad or m]: a joint that is farther out has been moved there by force."""
+
+MOST_CANDIDATES = 64
+"""Largest number of distinct motions that a call returns: each one is verified within the time limit."""
 
 
 def checked_planner(planner: object) -> Planner:
@@ -134,6 +137,15 @@ def checked_verification(verification: object) -> VerificationSettings | None:
     if verification is not None and not isinstance(verification, VerificationSettings):
         raise SettingError("verification", verification, "settings such as VerificationSettings(step=0.001)")
     return verification
+
+
+def checked_candidates(candidates: object, *, via: bool) -> int:
+    """Return the largest number of distinct motions to return."""
+    if not (is_whole(candidates) and 1 <= candidates <= MOST_CANDIDATES):
+        raise SettingError("candidates", candidates, f"a whole number from 1 to {MOST_CANDIDATES}")
+    if via and candidates > 1:
+        raise SettingError("candidates", candidates, "1 with `via`")
+    return int(candidates)
 
 
 def checked_seed(seed: object) -> np.random.Generator:

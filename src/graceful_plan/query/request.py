@@ -40,6 +40,7 @@ class Request:
     | callback     | called with every improvement                                         |      |
     | lead         | lead-in of a moving start; None from rest                             |      |
     | takeover     | the motion that the robot leaves at the start; None: it has rested    |      |
+    | candidates   | largest number of distinct motions to return                          |      |
     """
 
     planner: Planner
@@ -55,6 +56,7 @@ class Request:
     callback: Callback | None = None
     lead: LeadIn | None = None
     takeover: Takeover | None = None
+    candidates: int = 1
 
     @property
     def start_speed(self) -> float:

@@ -33,6 +33,16 @@ def test_results_have_the_stated_cost_and_pass_an_independent_check():
     assert gp.verify(result.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
 
 
+def test_candidates_drive_other_ways_and_pass_the_judge():
+    result = planned("east", w=1.0, candidates=3)
+    alone = planned("east", w=1.0)
+    np.testing.assert_array_equal(result.trajectory.q, alone.trajectory.q)
+    assert 2 <= len(result.candidates) <= 3 and result.candidates[0].trajectory is result.trajectory
+    for one in result.candidates:
+        assert gp.verify(one.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
+        assert result.cost.total <= one.cost.total < 4.0 * result.cost.total
+
+
 @pytest.mark.long
 @given(st.floats(-5, 5), st.floats(-1.3, 1.3), st.floats(-3.1, 3.1))
 @settings(max_examples=12, deadline=None)

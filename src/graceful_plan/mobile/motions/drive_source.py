@@ -6,13 +6,14 @@ near a floor path is collision-free, the lattice finds a path with turns in plac
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import final
 
 import numpy as np
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.static_objective import static_objective
 from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
@@ -38,6 +39,8 @@ from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
+
+Array = np.ndarray
 
 _SETTINGS = DescentSettings(bends=0)
 """No random bends of starts: most of them end in a wall."""
@@ -181,6 +184,19 @@ class DriveSource:
             if motion.ranking < best:
                 best = motion.ranking
                 yield motion
+
+    def others(self, is_new: Callable[[Float[Array, "n nq"]], bool]) -> Iterator[Motion]:
+        """Yield motions of one leg along curves of earlier descents, by increasing estimated cost.
+
+        Args:
+            is_new: Whether a curve is worth timing, by its samples.
+        """
+        for result in sorted(self._results, key=lambda one: one.value):
+            if is_new(result.curve.samples):
+                arrival = result.start.arrival
+                motion = self._driven(self._joined([_rolled(result)], arrival), arrival)
+                if motion is not None:
+                    yield motion
 
     def _made(self, budget: Budget) -> Iterator[Motion]:
         """Yield the motions of a round."""

@@ -29,7 +29,7 @@ _FIRST_SHORT_ROUND_SECONDS = 0.01
 """Length of the first round if the shortest motion is the best one [s]: about the time of a descent from one path."""
 
 
-def candidates(
+def motions_to_verify(
     request: Request, ends: Endpoints, budget: Budget, rng: np.random.Generator, best: BestVerified
 ) -> Iterator[Motion]:
     """Yield motions to verify until the budget ends or `best` needs no more.
@@ -55,10 +55,13 @@ def candidates(
                         break
             except RetimingError as error:
                 best.why_not = str(error)
-        if best.ended or budget.exhausted or not (found.paths or found.refused):
-            return
-        if best.motion is not None or caution is CAUTION[-1]:
+        ended = best.ended or budget.exhausted or not (found.paths or found.refused)
+        if not ended and (best.motion is not None or caution is CAUTION[-1]):
             yield from _better(source, budget, best, request)
+            ended = True
+        if ended:
+            if request.candidates > 1:
+                best.add_others(source)
             return
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
+from graceful_plan.array_types import Float
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
+
+Array = np.ndarray
 
 
 @runtime_checkable
@@ -43,4 +48,12 @@ class MotionMaker(Protocol):
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
         """Yield motions of one round that are ranked before the best-known one, whose ranking is `best`."""
+        ...
+
+    def others(self, is_new: Callable[[Float[Array, "n nq"]], bool]) -> Iterator[Motion]:
+        """Yield motions along curves of earlier descents, by increasing estimated cost.
+
+        Args:
+            is_new: Whether a curve is worth timing, by its samples.
+        """
         ...

@@ -6,12 +6,13 @@ new search.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import final
 
 import numpy as np
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
@@ -27,6 +28,8 @@ from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, subsampled
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
+
+Array = np.ndarray
 
 _SEARCH_SHARE = 0.15
 """Share of a round for the search; the rest is for descents from its paths."""
@@ -68,6 +71,7 @@ class MotionSource:
         settings = SHORTENING if self._shortens else DescentSettings()
         self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
+        self._screened: list[DescentResult] | None = [] if request.candidates > 1 else None
         onward = None if request.takeover is None else request.takeover.onward
         self._onward = [] if onward is None else [start_onto(onward, ends)]
         self._related: MotionSource | None = None
@@ -142,10 +146,22 @@ class MotionSource:
         if self._descents is not None:
             yield from self._descended(starts, budget, best)
 
+    def others(self, is_new: Callable[[Float[Array, "n nq"]], bool]) -> Iterator[Motion]:
+        """Yield motions along curves of earlier descents, by increasing estimated cost.
+
+        Args:
+            is_new: Whether a curve is worth timing, by its samples.
+        """
+        for result in sorted(self._results + (self._screened or []), key=_value):
+            if is_new(result.curve.samples) and (motion := timed_curve(result, self._request)) is not None:
+                yield motion
+        if self._related is not None:
+            yield from (with_cost(motion, self._request) for motion in self._related.others(is_new))
+
     def _descended(self, starts: list[Start], budget: Budget, best: float) -> Iterator[Motion]:
         assert self._descents is not None
         starts = [start for start in starts if start.path.length > 0.0]
-        for result in descend_from(starts, self._descents, budget, self._rng, self._results):
+        for result in descend_from(starts, self._descents, budget, self._rng, self._results, self._screened):
             self._results.append(result)
             if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
                 motion = timed_curve(result, self._request)
@@ -194,3 +210,7 @@ def _spread(paths: list[Path]) -> list[Path]:
 
 def _ranking(motion: Motion) -> float:
     return motion.ranking
+
+
+def _value(result: DescentResult) -> float:
+    return result.value

@@ -54,7 +54,12 @@ class RealStart:
     """The motion that the robot leaves, less these turns; None if it is not known."""
 
     def completed(self, result: PlanResult, request: Request) -> PlanResult:
-        """Return the result with the first piece and the whole turns."""
+        """Return the result, and its candidates, with the first piece and the whole turns."""
+        found = [self._completed(candidate, request) for candidate in result.candidates]
+        solved = tuple(candidate for candidate in found if candidate.status is PlanStatus.SOLVED)
+        return self._completed(replace(result, candidates=solved), request)
+
+    def _completed(self, result: PlanResult, request: Request) -> PlanResult:
         if result.trajectory is None or result.path is None:
             return result
         if self.first is not None:

@@ -1,0 +1,88 @@
+"""Bound of `prevention`, the choice by rollouts, and noticed failures: figures from stored lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.prevention.bound import NAMED, PRIORS, SIZES, TASKS, Bound, bound_table, name_of, read_bounds, share_of
+from benchmarks.prevention.choosing import Choice, choice_section, read_choices
+from benchmarks.prevention.noticed import ARM, GRIPPER, Noticed, noticed_section, read_noticed
+from benchmarks.prevention.runs import NONE
+from benchmarks.suite import unseen_scenes
+
+from benchmarks import store
+
+DEFAULT = name_of("default", 0.3)
+
+
+def bound(task: str, plain: float, default: float, best: float, longer: float = 1.0) -> Bound:
+    harm = {name: default for name in NAMED} | {NONE: plain, "other": best}
+    duration = dict.fromkeys(harm, 1.0) | {"other": longer}
+    each = {kind: harm for kind in SIZES}
+    return Bound(task=task, duration=duration, first=each, second=each, best=dict.fromkeys(SIZES, "other"))
+
+
+def test_the_share_sums_reductions_over_tasks():
+    two = [bound("a/x", 4.0, 2.0, 1.0), bound("b/y", 1.0, 1.0, 0.5)]
+    found = share_of(two, "drops", DEFAULT)
+    assert found.mean == pytest.approx((0.5 + 0.0) / (0.75 + 0.5))
+    assert found.low <= found.mean <= found.high
+    assert share_of([bound("a/x", 4.0, 1.0, 1.0)], "mixed", DEFAULT).mean == pytest.approx(1.0)
+
+
+def test_harm_per_task_counts_the_duration():
+    slow = bound("a/x", 4.0, 2.0, 1.0, longer=2.0)
+    assert slow.less("drops", "other") == pytest.approx(0.5)
+
+
+def test_the_tables_show_every_task_and_the_best_motion():
+    text = bound_table([bound("desk/x", 4.0, 2.0, 1.0), bound("studio/y", 1.0, 1.0, 0.5)], SIZES)
+    assert f"2 of {len(TASKS)} tasks, 1 of them unseen" in text
+    assert "| desk/x | drops | 11 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 4.00 | other | +0 % |" in text
+    assert len(
+        [line for line in text.splitlines() if "share of what is attainable |" in line and ">= 0.9" in line]
+    ) == (len(PRIORS) * len(SIZES))
+    assert "| drops | default | 1 | 1.00 [1.00, 1.00] | 0 | 0 | +0 % |" in text
+    assert "No task is finished" in bound_table([], SIZES)
+
+
+def test_half_of_the_tasks_are_unseen():
+    unseen = [name for name in TASKS if name.split("/")[0] in unseen_scenes()]
+    assert len(TASKS) >= 12 and 2 * len(unseen) == len(TASKS)
+
+
+def test_tasks_without_the_motions_to_compare_are_left_out(tmp_path):
+    file = tmp_path / "bound.jsonl"
+    one, other = bound("a/x", 4.0, 2.0, 1.0), bound("b/y", 1.0, 1.0, 0.5)
+    refused = Bound(task="c/z", duration={"other": 1.0}, first={}, second={}, best={})
+    file.write_text("".join(store.line(x) for x in (one, refused, other)), encoding="utf-8")
+    assert read_bounds(file) == [one, other]
+
+
+def test_choices_are_summed_up(tmp_path):
+    file = tmp_path / "choices.jsonl"
+    found = [
+        Choice(task="a/x", candidates=4, best=2, less=(2.0, 1.5, 2.5), longer=1.1, seconds=9.0),
+        Choice(task="b/y", candidates=3),
+        Choice(task="c/z", candidates=3, best=1, less=(0.8, 0.7, 0.9)),
+        Choice(task="d/w", refused="too fast"),
+    ]
+    file.write_text("".join(store.line(x) for x in found), encoding="utf-8")
+    text = "\n".join(choice_section(read_choices(file)))
+    assert "own motion, median | >= 1.1 | 1 | **no** |" in text
+    assert "more harm beyond their interval | none | 1 | **no** |" in text
+    assert f"3 of {len(TASKS)} tasks; geometric mean {np.exp(np.log([2.0, 1.0, 0.8]).mean()):.2f}" in text
+    assert "| d/w | too fast |" in text
+    assert "No task is finished" in "\n".join(choice_section([]))
+
+
+def test_noticed_failures_are_summed_up(tmp_path):
+    file = tmp_path / "noticed.jsonl"
+    harm = {fault: [4.0, 2.0] for fault in (*ARM, *GRIPPER)}
+    half = {fault: [2.0, 1.0] for fault in (*ARM, *GRIPPER)}
+    found = [Noticed(task=name, observed=harm, predicted=half) for name in ("a/x", "b/y")]
+    file.write_text("".join(store.line(x) for x in found), encoding="utf-8")
+    text = "\n".join(noticed_section(read_noticed(file)))
+    assert "| arm | 4.00 | 2.00 | 2.00 | 1.00 | 0.5 [0.5, 0.5] |" in text
+    assert "| a/x | 4.00 | 2.00 | 2.00 | 1.00 | 0.50 |" in text
+    assert "No task is finished" in "\n".join(noticed_section([]))
