@@ -105,8 +105,8 @@ def test_cancelling_before_a_solution_has_its_status(task: gp.Task):
 
 
 def test_an_uncancelled_plan_equals_one_without_a_callback(task: gp.Task):
-    first = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5)
-    second = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5, cancelled=lambda: False)
+    first = gp.plan(task.start, task.goal, task.scene, iterations=60, seed=5)
+    second = gp.plan(task.start, task.goal, task.scene, iterations=60, seed=5, cancelled=lambda: False)
     assert first.unwrap().q.tobytes() == second.unwrap().q.tobytes()
 
 
