@@ -56,7 +56,8 @@ void bind_core(nb::module_& m) {
           "bound"_a, "self_pair"_a, "self_slack"_a, "obstacle_kind"_a, "obstacle_pose"_a, "obstacle_size"_a,
           "obstacle_bound"_a, "ignores"_a, "hull_start"_a, "triangles"_a, "part_component"_a, "part_link"_a,
           "part_box"_a, "target_entity"_a, "target_box"_a, "n_component"_a, "n_entity"_a, "tool_link"_a,
-          "tool_position"_a, "keep"_a, "cone_link"_a, "cone_axis"_a, "cone_direction"_a, "cone_angle"_a, "room_link"_a, "room_point"_a, "room_rotation"_a, "room_position"_a, "room_lower"_a, "room_upper"_a, "isa"_a)
+          "tool_position"_a, "keep"_a, "cone_link"_a, "cone_axis"_a, "cone_direction"_a, "cone_angle"_a, "room_link"_a,
+          "room_point"_a, "room_rotation"_a, "room_position"_a, "room_lower"_a, "room_upper"_a, "isa"_a)
       .def_prop_ro("isa", &Core::isa)
       .def_prop_ro("lanes", &Core::lanes)
       .def("link_poses", &Core::link_poses, "q"_a, WithoutGil())
