@@ -79,7 +79,7 @@ def among(scene, severity=1.0):
 @pytest.mark.parametrize("timed", [True, False])
 def test_drops_equal_the_twin(walker, targets, timed):
     scene = gantry(targets).with_moving(_WALKERS[walker])
-    q, qd, t = states(scene, 60)
+    q, qd, t = states(scene, 150)
     batch = moving_batch(scene, q, qd, t if timed else None)
     expected = moving_probability(batch, DropSettings.shipped(), ("carried",))
     found = MovingModel().sources(batch, ("carried",))["drop"]
