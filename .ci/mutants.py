@@ -37,7 +37,9 @@ MODULES = {
     ),
     "timing/retiming.py": ("tests/timing/test_retiming.py",),
     "timing/trajectory.py": ("tests/timing/test_trajectory.py", "tests/formats/test_formats.py"),
+    "costs/breakdown.py": ("tests/costs/test_costs.py", "tests/costs/test_own_loss.py"),
     "judge/verification.py": ("tests/judge/test_verification.py", "tests/judge/test_passing.py"),
+    "judge/limit_checks.py": ("tests/judge/test_verification.py", "tests/judge/test_passing.py"),
     "judge/exact.py": (
         "tests/judge/test_verification.py",
         "tests/judge/test_clearance_proof.py",
@@ -60,6 +62,8 @@ MODULES = {
         "tests/scene/loading/test_naming.py",
         "tests/scene/urdf",
     ),
+    "scene/assembly.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/loading/test_file.py"),
+    "scene/changes.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/loading/test_naming.py"),
     "scene/screening.py": ("tests/scene/test_screening.py",),
     "scene/specs.py": ("tests/scene/test_screening.py",),
 }

@@ -15,7 +15,7 @@ from graceful_plan.scene.elements import Liquid
 from sizes import first_quick
 
 Array = np.ndarray
-ENOUGH = 400
+ENOUGH = 200
 """Iterations."""
 
 

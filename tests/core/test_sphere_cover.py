@@ -165,8 +165,8 @@ def test_heights_are_those_over_the_highest_face(points: int, faces: int) -> Non
 def test_covers_are_as_small_as_those_of_the_algorithm_in_numpy() -> None:
     """Rounding decides between equal candidates, so balls may differ, but hardly their number."""
     points, planes = _hull(2, 0.0)
-    near, height = greedy_cover.samples_of_convex(points, planes, 0.006)
-    gap = 0.006 * np.sqrt(5.0) / 4.0
+    near, height = greedy_cover.samples_of_convex(points, planes, 0.012)
+    gap = 0.012 * np.sqrt(5.0) / 4.0
     _, radii = greedy_cover.greedy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap)
     assert len(radii) == pytest.approx(_numpy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap), rel=0.05)
 

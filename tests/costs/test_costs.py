@@ -54,7 +54,7 @@ def _path(task, n=6, seed=0):
 def test_sums_over_states_do_not_depend_on_how_many_are_in_memory(task, monkeypatch):
     path = _path(task)
     whole = gp.evaluate(path, task.scene)
-    monkeypatch.setattr("graceful_plan.costs.objective._AT_A_TIME", 7)
+    monkeypatch.setattr("graceful_plan.costs.breakdown._AT_A_TIME", 7)
     parts = gp.evaluate(path, task.scene)
     assert parts.impact == pytest.approx(whole.impact, rel=1e-12) and whole.impact > 0.0
 

@@ -12,6 +12,8 @@ from failbench.surroundings.registry import PersonWalksIn
 from graceful_plan.exceptions import SettingError
 
 DROPS = [GripperFailure()]
+HORIZON = 0.5
+"""Time after each failure [s]; within it, a dropped block reaches the table."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +29,7 @@ def motions() -> tuple[gp.Scene, list[gp.Trajectory]]:
 
 def test_the_motion_with_less_harm_is_chosen(motions):
     scene, three = motions
-    found = failbench.choose(three, scene, DROPS, seconds=600.0, rounds=3, threads=1)
+    found = failbench.choose(three, scene, DROPS, seconds=600.0, rounds=3, horizon=HORIZON, threads=1)
     assert found.best == 2
     assert found.refused == {}
     means = [estimate.mean for estimate in found.harm]
@@ -37,21 +39,23 @@ def test_the_motion_with_less_harm_is_chosen(motions):
 
 def test_the_same_seed_gives_the_same_choice(motions):
     scene, three = motions
-    first, second = (failbench.choose(three[1:], scene, DROPS, seconds=600.0, rounds=1, threads=t) for t in (1, 2))
+    first, second = (
+        failbench.choose(three[1:], scene, DROPS, seconds=600.0, rounds=1, horizon=HORIZON, threads=t) for t in (1, 2)
+    )
     assert (first.best, first.harm, first.n, first.sure) == (second.best, second.harm, second.n, second.sure)
 
 
 def test_estimates_are_those_of_a_validation(motions):
     scene, three = motions
-    found = failbench.choose(three[1:2], scene, DROPS, seconds=0.0, seed=5, threads=1)
-    report = failbench.validate(three[1], scene, DROPS, n=16, seed=5, threads=1)
+    found = failbench.choose(three[1:2], scene, DROPS, seconds=0.0, seed=5, horizon=HORIZON, threads=1)
+    report = failbench.validate(three[1], scene, DROPS, n=16, seed=5, horizon=HORIZON, threads=1)
     assert found.sure and found.n == (16,)
     assert found.harm[0].mean == pytest.approx(report.observed_per_task.mean, rel=1e-9)
 
 
 def test_equal_motions_are_never_surely_different(motions):
     scene, three = motions
-    found = failbench.choose([three[1], three[1]], scene, DROPS, seconds=600.0, rounds=1, threads=1)
+    found = failbench.choose([three[1], three[1]], scene, DROPS, seconds=600.0, rounds=1, horizon=HORIZON, threads=1)
     assert not found.sure and found.harm[0] == found.harm[1]
 
 
@@ -59,7 +63,7 @@ def test_motions_that_cannot_be_executed_are_left_out(motions):
     scene, three = motions
     t = np.array([0.0, 0.05])
     wild = gp.Trajectory(t, three[1].q[[0, -1]], np.zeros((2, 7)), np.zeros((2, 7)), scene.joints)
-    found = failbench.choose([wild, three[1]], scene, DROPS, seconds=0.0, threads=1)
+    found = failbench.choose([wild, three[1]], scene, DROPS, seconds=0.0, horizon=HORIZON, threads=1)
     assert found.best == 1 and found.sure and found.harm[0] is None and set(found.refused) == {0}
     assert "motion 0" in str(found)
     with pytest.raises(failbench.ExecutionRefused):
@@ -68,8 +72,8 @@ def test_motions_that_cannot_be_executed_are_left_out(motions):
 
 def test_people_who_walk_in_are_simulated(motions):
     scene, three = motions
-    found = failbench.choose(three[1:2], scene, PersonWalksIn(), seconds=0.0, rounds=1, threads=1)
-    report = failbench.validate(three[1], scene, PersonWalksIn(), n=16, threads=1)
+    found = failbench.choose(three[1:2], scene, PersonWalksIn(), seconds=0.0, rounds=1, horizon=HORIZON, threads=1)
+    report = failbench.validate(three[1], scene, PersonWalksIn(), n=16, horizon=HORIZON, threads=1)
     assert found.harm[0].mean == pytest.approx(report.observed_per_task.mean, rel=1e-9)
 
 

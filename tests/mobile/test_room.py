@@ -11,9 +11,9 @@ scene = task.scene.with_moving(
     gp.MovingEntity("guest", "adult", size=[0.25, 0.85], t=[0, 4], position=[[-1, 1, 0.85], [1, 1, 0.85]], spread=0.05)
 )
 results = [
-    gp.plan(task.start, task.goal, task.scene, iterations=200),
-    gp.plan(task.start, task.goal, task.scene, iterations=200, w=0.0, planner="rrt_connect"),
-    gp.plan(task.start, task.goal, scene, iterations=200),
+    gp.plan(task.start, task.goal, task.scene, iterations=40),
+    gp.plan(task.start, task.goal, task.scene, iterations=40, w=0.0, planner="rrt_connect"),
+    gp.plan(task.start, task.goal, scene, iterations=40),
 ]
 assert all(result.status is gp.PlanStatus.SOLVED for result in results), [result.detail for result in results]
 """

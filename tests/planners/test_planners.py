@@ -24,8 +24,8 @@ _NAMES = (
 )  # fmt: skip
 
 _ITERATIONS = {
-    "auto": 150, "anytime": 150, "chomp": 200, "stomp": 150, "casadi": 40, "prm": 120, "prm_star": 150, "rrt_star": 150,
-    "informed_rrt_star": 150, "trrt": 500,
+    "auto": 80, "anytime": 80, "chomp": 100, "stomp": 80, "casadi": 25, "prm": 120, "prm_star": 100, "rrt_star": 100,
+    "informed_rrt_star": 100, "trrt": 400,
 }  # fmt: skip
 """Iterations that are ample in the plane; an iteration differs from planner to planner."""
 

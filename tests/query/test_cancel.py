@@ -105,8 +105,8 @@ def test_cancelling_before_a_solution_has_its_status(task: gp.Task):
 
 
 def test_an_uncancelled_plan_equals_one_without_a_callback(task: gp.Task):
-    first = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5)
-    second = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5, cancelled=lambda: False)
+    first = gp.plan(task.start, task.goal, task.scene, iterations=60, seed=5)
+    second = gp.plan(task.start, task.goal, task.scene, iterations=60, seed=5, cancelled=lambda: False)
     assert first.unwrap().q.tobytes() == second.unwrap().q.tobytes()
 
 
@@ -177,4 +177,4 @@ def test_an_interrupt_while_the_scene_is_compiled(task: gp.Task):
         with pytest.raises(KeyboardInterrupt), _interrupt_after(moment):
             gp.plan(task.start, task.goal, fresh, **_ENDLESS)
         assert isinstance(gp.clearance(task.start, fresh), np.ndarray | float)
-        assert gp.plan(task.start, task.goal, fresh, iterations=200).status is gp.PlanStatus.SOLVED
+        assert gp.plan(task.start, task.goal, fresh, iterations=60).status is gp.PlanStatus.SOLVED

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import graceful_plan as gp
+from sizes import first_quick
 
 _LADDER = 0.0, 0.1, 0.3, 1.0, 3.0
 _ROUNDING = 2e-3
@@ -22,7 +23,7 @@ def _j(cost: gp.CostBreakdown, w: float) -> float:
     return cost.motion + w * cost.impact
 
 
-@pytest.mark.parametrize("task", ["lift_to_goal", "far_to_near", "green_to_blue", "right_to_left"])
+@pytest.mark.parametrize("task", first_quick(["far_to_near", "lift_to_goal", "green_to_blue", "right_to_left"]))
 def test_no_plan_of_a_ladder_beats_that_for_its_weight(task: str) -> None:
     costs = _costs("tabletop", task, _LADDER)
     for w in _LADDER:
@@ -31,9 +32,9 @@ def test_no_plan_of_a_ladder_beats_that_for_its_weight(task: str) -> None:
     assert motion == sorted(motion) and impact == sorted(impact, reverse=True)
 
 
-@pytest.mark.parametrize(("scene", "task"), [("desk", "put_book_away"), ("desk", "bring_coffee")])
-def test_no_plan_is_worse_than_the_shortest_motion(scene: str, task: str) -> None:
+@pytest.mark.parametrize("task", first_quick(["bring_coffee", "put_book_away"]))
+def test_no_plan_is_worse_than_the_shortest_motion(task: str) -> None:
     """Even where a full cup leaves searches far from the best motion."""
-    costs = _costs(scene, task, (0.0, 0.3, 3.0))
+    costs = _costs("desk", task, (0.0, 0.3, 3.0))
     for w in (0.3, 3.0):
         assert _j(costs[w], w) <= (1.0 + _ROUNDING) * _j(costs[0.0], w)

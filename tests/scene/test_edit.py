@@ -84,7 +84,7 @@ _desk = gp.load_scene("desk").tasks["bring_coffee"].scene
 _first = _desk.add_box("crate", _CRATE, [0.3, -0.5, 0.9], entity="robust")
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(
     st.tuples(st.floats(-0.2, 0.8), st.floats(-0.8, 0.8), st.floats(0.4, 1.2)),
     st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda quat: np.linalg.norm(quat) > 0.1),

@@ -9,8 +9,8 @@ from failbench.simulated.rolling import PLANAR
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.scene.couplings import actuated
 from graceful_plan.scene.elements import Adhesion
+from graceful_plan.scene.equalities import actuated
 from graceful_plan.scene.fingers import Hand, Stroke, find_stroke
 from graceful_plan.scene.rules.grip import HAND_FORCE, find_grip, hand_of
 

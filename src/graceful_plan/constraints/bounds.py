@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -20,29 +20,48 @@ Array = np.ndarray
 Numbers = tuple[float, ...]
 
 
+class _Cone(NamedTuple):
+    """A unit axis in the tool's link within an angle [rad] of a unit direction in W."""
+
+    axis: Numbers
+    direction: Numbers
+    angle: float
+
+
+class _Room(NamedTuple):
+    """A point in the tool's link inside a box: rotation and position in W, corners in the axes of the box [m]."""
+
+    point: Numbers
+    rotation: Numbers
+    position: Numbers
+    lower: Numbers
+    upper: Numbers
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class RuleBounds:
-    """The rules that the core can check: rows of `BoundArrays`, and the distance to keep from each entity [m]."""
+    """The rules that the core can check, and the distance to keep from each entity [m]."""
 
-    cones: tuple[Numbers, ...]
-    rooms: tuple[Numbers, ...]
+    cones: tuple[_Cone, ...]
+    rooms: tuple[_Room, ...]
     keep: tuple[tuple[str, float], ...]
 
 
 def bounds_of(scene: Scene, rules: Iterable[Rule]) -> RuleBounds:
     """Convert those rules that the core can check; skip the others."""
     robot = compile_scene(scene).robot
-    cones: list[Numbers] = []
-    rooms: list[Numbers] = []
+    cones: list[_Cone] = []
+    rooms: list[_Room] = []
     keep: list[tuple[str, float]] = []
     for rule in rules:
         if isinstance(rule, AxisRule):
             axis = frame_in_link(scene, robot, rule.frame)[:3, :3] @ rule.axis
-            cones.append((*axis.tolist(), *rule.direction, rule.angle))
+            cones.append(_Cone(tuple(axis.tolist()), rule.direction, rule.angle))
         elif isinstance(rule, BoxRule):
-            pose = *rule.X_WB[:3, :3].ravel().tolist(), *rule.X_WB[:3, 3].tolist()
-            rooms.append((*robot.X_LT[:3, 3].tolist(), *pose, *rule.lower, *rule.upper))
+            point, rotation, position = robot.X_LT[:3, 3], rule.X_WB[:3, :3].ravel(), rule.X_WB[:3, 3]
+            box = tuple(rotation.tolist()), tuple(position.tolist()), rule.lower, rule.upper
+            rooms.append(_Room(tuple(point.tolist()), *box))
         elif isinstance(rule, DistanceRule):
             keep.append((rule.entity, rule.metres))
     return RuleBounds(cones=tuple(cones), rooms=tuple(rooms), keep=tuple(keep))
@@ -73,9 +92,15 @@ def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
     cones, rooms = bounds.cones, bounds.rooms
     arrays = BoundArrays(
         cone_link=np.full(len(cones), robot.tool_link),
-        cone=np.array(cones).reshape(-1, 7),
+        cone_axis=np.array([cone.axis for cone in cones]).reshape(-1, 3),
+        cone_direction=np.array([cone.direction for cone in cones]).reshape(-1, 3),
+        cone_angle=np.array([cone.angle for cone in cones]).reshape(-1),
         room_link=np.full(len(rooms), robot.tool_link),
-        room=np.array(rooms).reshape(-1, 21),
+        room_point=np.array([box.point for box in rooms]).reshape(-1, 3),
+        room_rotation=np.array([box.rotation for box in rooms]).reshape(-1, 3, 3),
+        room_position=np.array([box.position for box in rooms]).reshape(-1, 3),
+        room_lower=np.array([box.lower for box in rooms]).reshape(-1, 3),
+        room_upper=np.array([box.upper for box in rooms]).reshape(-1, 3),
         keep=kept,
     )
     return Kernels(robot, world, compiled.impact_tables, bounds=arrays)

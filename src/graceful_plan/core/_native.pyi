@@ -59,9 +59,15 @@ class Core:
         tool_position: Reals,
         keep: Reals,
         cone_link: Integers,
-        cone: Reals,
+        cone_axis: Reals,
+        cone_direction: Reals,
+        cone_angle: Reals,
         room_link: Integers,
-        room: Reals,
+        room_point: Reals,
+        room_rotation: Reals,
+        room_position: Reals,
+        room_lower: Reals,
+        room_upper: Reals,
         isa: str,
     ) -> None: ...
     @property

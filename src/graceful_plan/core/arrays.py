@@ -126,30 +126,47 @@ class ImpactArrays:
 class BoundArrays:
     """Bounds beyond collision: axes within cones, points within boxes, extra distance to obstacles.
 
-    | field      | meaning                                                                   | unit | shape    |
-    |------------|---------------------------------------------------------------------------|------|----------|
-    | cone_link  | link that the axis is attached to                                         |      | cone     |
-    | cone       | unit axis in the link, unit direction in W, largest angle between them     | rad  | cone 7   |
-    | room_link  | link that the point is attached to                                        |      | room     |
-    | room       | point in the link; rotation (row-major) and position of the box; its lower |      |          |
-    |            | and upper corner in its own axes                                          | m    | room 21  |
-    | keep       | distance to keep from each obstacle, on top of any margin                 | m    | obstacle |
+    | field          | meaning                                                   | unit | shape    |
+    |----------------|-----------------------------------------------------------|------|----------|
+    | cone_link      | link that the axis is attached to                         |      | cone     |
+    | cone_axis      | unit axis in the link                                     |      | cone 3   |
+    | cone_direction | unit direction in W                                       |      | cone 3   |
+    | cone_angle     | largest angle between axis and direction                  | rad  | cone     |
+    | room_link      | link that the point is attached to                        |      | room     |
+    | room_point     | point in the link that stays inside the box               | m    | room 3   |
+    | room_rotation  | rotation of the box in W                                  |      | room 3 3 |
+    | room_position  | position of the box in W                                  | m    | room 3   |
+    | room_lower     | lower corner of the box in its own axes, may be infinite  | m    | room 3   |
+    | room_upper     | upper corner of the box in its own axes, may be infinite  | m    | room 3   |
+    | keep           | distance to keep from each obstacle, on top of any margin | m    | obstacle |
     """
 
     cone_link: Int[Array, " cone"]
-    cone: Float[Array, "cone 7"]
+    cone_axis: Float[Array, "cone 3"]
+    cone_direction: Float[Array, "cone 3"]
+    cone_angle: Float[Array, " cone"]
     room_link: Int[Array, " room"]
-    room: Float[Array, "room 21"]
+    room_point: Float[Array, "room 3"]
+    room_rotation: Float[Array, "room 3 3"]
+    room_position: Float[Array, "room 3"]
+    room_lower: Float[Array, "room 3"]
+    room_upper: Float[Array, "room 3"]
     keep: Float[Array, " obstacle"]
 
     @classmethod
     def none(cls, n_obstacle: int) -> BoundArrays:
         """Return tables without bounds."""
-        no_link = np.zeros(0, dtype=int)
+        no_link, no_vector = np.zeros(0, dtype=int), np.zeros((0, 3))
         return cls(
             cone_link=no_link,
-            cone=np.zeros((0, 7)),
+            cone_axis=no_vector,
+            cone_direction=no_vector,
+            cone_angle=np.zeros(0),
             room_link=no_link,
-            room=np.zeros((0, 21)),
+            room_point=no_vector,
+            room_rotation=np.zeros((0, 3, 3)),
+            room_position=no_vector,
+            room_lower=no_vector,
+            room_upper=no_vector,
             keep=np.zeros(n_obstacle),
         )

@@ -104,9 +104,15 @@ class Kernels:
                 tool_position=reals(robot.X_LT[:3, 3]),
                 keep=reals(bounds.keep),
                 cone_link=_integers(bounds.cone_link),
-                cone=reals(bounds.cone),
+                cone_axis=reals(bounds.cone_axis),
+                cone_direction=reals(bounds.cone_direction),
+                cone_angle=reals(bounds.cone_angle),
                 room_link=_integers(bounds.room_link),
-                room=reals(bounds.room),
+                room_point=reals(bounds.room_point),
+                room_rotation=reals(bounds.room_rotation),
+                room_position=reals(bounds.room_position),
+                room_lower=reals(bounds.room_lower),
+                room_upper=reals(bounds.room_upper),
                 isa=isa,
             )
         except ValueError as error:

@@ -11,7 +11,6 @@ sub-steps of at most `COST_STEP`.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -23,7 +22,8 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
 from graceful_plan.costs.blocks.native_cost import native_kernel
-from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch, terms_of
+from graceful_plan.costs.breakdown import impact_breakdown
+from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch
 from graceful_plan.costs.cost_samples import CostSamples, timed_samples
 from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
@@ -52,8 +52,6 @@ EXPOSURES = ("time", "length", "waypoints")
 """Names of the integration variables of the impact."""
 MOST_STATES = 150_000
 """Largest number of states at which one path is evaluated."""
-_AT_A_TIME = 20_000
-"""Number of states whose probabilities are in memory at a time."""
 PACE_SPREAD = 0.42
 """Standard deviation of the fraction in `MEAN_PACE`, relative to its mean."""
 
@@ -291,7 +289,7 @@ class SceneObjective:
                 motion=motion, impact=0.0, w=self.w, exposure=self.objective.exposure, impact_by_component=nothing
             )
         samples = self.cost_samples(path, start_time)
-        return self._breakdown(motion, samples.batch, samples.weight)
+        return impact_breakdown(impact, samples, motion=motion, w=self.w, exposure=self.objective.exposure)
 
     def cost_samples(self, path: Path | Trajectory, start_time: float = 0.0) -> CostSamples:
         """Return the states at which a path or trajectory is evaluated, with weights: sums over them are integrals.
@@ -335,33 +333,6 @@ class SceneObjective:
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
         """Return samples of straight edges, no farther apart than `step` [rad]."""
         return EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, step)
-
-    def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
-        impact, by_entity, by_component = 0.0, defaultdict[str, float](float), defaultdict[str, float](float)
-        for factor, cost in terms_of(self.objective.impact):
-            if not isinstance(cost, ImpactCost):
-                total = factor * float(weight @ checked_state(cost, batch))
-                impact += total
-                by_entity[type(cost).__name__] += total
-                continue
-            exposure = sum(
-                np.tensordot(weight[k : k + _AT_A_TIME], cost.probability(batch[k : k + _AT_A_TIME]), axes=1)
-                for k in range(0, len(batch), _AT_A_TIME)
-            )
-            parts = factor * exposure * cost.severity_table(self.scene)
-            impact += float(parts.sum())
-            for entity, part in zip(cost.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True):
-                by_entity[entity] += part
-            for component, part in zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True):
-                by_component[component] += part
-        return CostBreakdown(
-            motion=motion,
-            impact=impact,
-            w=self.w,
-            exposure=self.objective.exposure,
-            impact_by_entity=dict(by_entity),
-            impact_by_component=dict(by_component),
-        )
 
 
 def evaluate(

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array, is_real
-from graceful_plan.scene.couplings import coupled, follow, followers
+from graceful_plan.scene.couplings import coupled, follow
 from graceful_plan.scene.elements import Fingers, Notes, ObjectNote, Opening
+from graceful_plan.scene.equalities import followers
 from graceful_plan.scene.fingers import Hand, leading_joints, positions_at
 from graceful_plan.scene.joint_limits import joint_range
 from graceful_plan.scene.loading.naming import is_name, lookup

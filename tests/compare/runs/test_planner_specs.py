@@ -35,7 +35,7 @@ def test_settings_are_given_by_name():
         ("rrt_star:range", SettingError, "name:setting=value"),
         ("rrt_star:", SettingError, "name:setting=value"),
         ("rrt_star:range=-1.0", SettingError, "range = -1.0"),
-        ("rrt_star:range=wide", SettingError, "planner = 'rrt_star:range=wide', expected settings that it takes"),
+        ("rrt_star:range=wide", SettingError, "range = 'wide'"),
         ("rrt_star:range=[1]", SettingError, "a number, a word, true, false or null"),
         ("rrt_star:range=1,range=2", SettingError, "every setting once"),
     ],

@@ -25,7 +25,9 @@ def test_a_skid_steer_drives_a_hook_there_and_back():
     assert error[2] < 0.27 and error[:2].max() < 0.1
 
 
-@pytest.mark.parametrize(("v", "omega"), [(1.5, 1.0), (-1.5, 1.0), (-1.0, 1.0), (-0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("v", "omega"), [(1.5, 1.0), (-1.5, 1.0), *(pytest.param(v, 1.0, marks=pytest.mark.long) for v in (-1.0, -0.5))]
+)
 def test_where_nothing_moves_sideways_is_known_in_both_gears(v, omega):
     """At 1.5 m/s backwards, the point without lateral motion is 13 cm behind the origin; forwards, 9 cm."""
     drives = steady_drive(jackal(), v, omega)

@@ -8,6 +8,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.floor.generated import floor_plan, obstacle_course
 from graceful_plan.mobile.floor.grid_paths import FloorGrid, GridStatus
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
+from sizes import first_quick
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -41,7 +42,7 @@ def test_misuse_is_refused():
         obstacle_course(0, fill=0.9)
 
 
-@pytest.mark.parametrize("planner", ["auto", "floor_theta_star"])
+@pytest.mark.parametrize("planner", first_quick(["auto", "floor_theta_star"]))
 def test_plan_works_on_maps(planner):
     occupied = np.zeros((60, 60), dtype=bool)
     occupied[28:32, :40] = True

@@ -128,14 +128,14 @@ def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objectiv
 @pytest.mark.long
 def test_plans_by_a_measure_are_the_same_again(task: gp.Task, objective: gp.Objective) -> None:
     once, again = (
-        gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=objective, iterations=300) for _ in range(2)
+        gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=objective, iterations=100) for _ in range(2)
     )
     np.testing.assert_array_equal(once.path.q, again.path.q)
 
 
 def test_expectation_is_the_default(task: gp.Task) -> None:
     first, second = (
-        gp.plan(task.start, task.goal, task.scene, iterations=100, **given)
+        gp.plan(task.start, task.goal, task.scene, iterations=40, **given)
         for given in ({}, {"risk": gp.RiskMeasure("expectation")})
     )
     np.testing.assert_array_equal(first.path.q, second.path.q)
@@ -143,7 +143,7 @@ def test_expectation_is_the_default(task: gp.Task) -> None:
 
 def test_without_weight_the_measure_does_not_matter(task: gp.Task) -> None:
     first, second = (
-        gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500, risk=kind) for kind in ("expectation", "cvar")
+        gp.plan(task.start, task.goal, task.scene, 0.0, iterations=100, risk=kind) for kind in ("expectation", "cvar")
     )
     np.testing.assert_array_equal(first.path.q, second.path.q)
 

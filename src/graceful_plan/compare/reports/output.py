@@ -9,7 +9,8 @@ from pathlib import Path
 from graceful_plan import documents
 from graceful_plan.compare.reports.arena import write_arena
 from graceful_plan.compare.reports.calls import CallSummary
-from graceful_plan.compare.reports.report import number, p_value, percent, write_report
+from graceful_plan.compare.reports.report import write_report
+from graceful_plan.compare.reports.report_style import number, p_value, percent
 from graceful_plan.compare.reports.summary import Summary
 from graceful_plan.compare.reports.tables import write_csv, write_parquet
 from graceful_plan.compare.runs.known import write_known

@@ -10,7 +10,7 @@ from pathlib import Path
 from graceful_plan.compare.reports import figures
 from graceful_plan.compare.reports.calls import CallSummary
 from graceful_plan.compare.reports.in_space import section
-from graceful_plan.compare.reports.report_style import STYLE
+from graceful_plan.compare.reports.report_style import STYLE, number, p_value, percent
 from graceful_plan.compare.reports.statistics import CONFIDENCE, TIE, Paired
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, gap, median
 from graceful_plan.compare.runs.records import EARLY
@@ -344,27 +344,6 @@ def _swatch(index: int) -> str:
 
 def _text(value: str) -> str:
     return html.escape(value)
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Format a number for a table; NaN becomes a dash."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞"
-    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
-
-
-def percent(value: float) -> str:
-    """Format a fraction as a percentage; NaN becomes a dash."""
-    if not math.isfinite(value):
-        return "–" if math.isnan(value) else "∞"
-    return f"{100.0 * value:.1f} %" if value < 10.0 else f"{100.0 * value:.0f} %"
-
-
-def p_value(value: float) -> str:
-    """Format a p-value; NaN becomes a dash."""
-    return "–" if math.isnan(value) else f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
 
 
 def _count(number: int, noun: str) -> str:

@@ -1,6 +1,8 @@
-"""Style sheet of the page of a comparison, light and dark."""
+"""Style of the page of a comparison: its style sheet, light and dark, and the format of numbers."""
 
 from __future__ import annotations
+
+import math
 
 STYLE = """
 :root { color-scheme: light dark; --paper: #fff; --ink: #111; --soft: #555; --rule: #e6e6e6; --line: #999;
@@ -26,3 +28,24 @@ span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2
   outline: 1px solid var(--line); }
 .warn { background: var(--warn); border-left: 4px solid #e69f00; padding: .5rem .8rem; }
 """.strip()
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Format a number for a table; NaN becomes a dash."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞"
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def percent(value: float) -> str:
+    """Format a fraction as a percentage; NaN becomes a dash."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
+    return f"{100.0 * value:.1f} %" if value < 10.0 else f"{100.0 * value:.0f} %"
+
+
+def p_value(value: float) -> str:
+    """Format a p-value; NaN becomes a dash."""
+    return "–" if math.isnan(value) else f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"

@@ -74,12 +74,11 @@ struct WorldArrays {
   Reals keep;
 };
 
-// Rows of cone: axis, direction, angle. Rows of room: point, rotation, position, lower, upper corner.
 struct BoundArrays {
   Integers cone_link;
-  Reals cone;
+  Reals cone_axis, cone_direction, cone_angle;
   Integers room_link;
-  Reals room;
+  Reals room_point, room_rotation, room_position, room_lower, room_upper;
 };
 
 struct ImpactArrays {
@@ -603,25 +602,33 @@ class Core {
       require(link >= 0 && size_t(link) < link_.size(), "link of a bound");
       return link_[size_t(link)].frame;
     };
-    require_numbers(bounds.cone, 7 * bounds.cone_link.size(), "cones", kMaxExtent);
-    require(bounds.room.size() == 21 * bounds.room_link.size(), "rooms");
-    for (size_t i = 0; i < bounds.room.size(); ++i) {
-      const double value = bounds.room.data()[i];  // sides may be infinitely far away
-      require(i % 21 < 15 ? std::fabs(value) <= kMaxExtent : !std::isnan(value), "rooms");
+    const size_t n_cone = bounds.cone_link.size(), n_room = bounds.room_link.size();
+    require_numbers(bounds.cone_axis, 3 * n_cone, "axes of cones", kMaxExtent);
+    require_numbers(bounds.cone_direction, 3 * n_cone, "directions of cones", kMaxExtent);
+    require_numbers(bounds.cone_angle, n_cone, "angles of cones", kMaxExtent);
+    require_numbers(bounds.room_point, 3 * n_room, "points in rooms", kMaxExtent);
+    require_numbers(bounds.room_rotation, 9 * n_room, "rotations of rooms", kMaxExtent);
+    require_numbers(bounds.room_position, 3 * n_room, "positions of rooms", kMaxExtent);
+    for (const Reals& corners : {bounds.room_lower, bounds.room_upper}) {
+      require(corners.size() == 3 * n_room, "corners of rooms");
+      for (size_t i = 0; i < corners.size(); ++i)  // sides may be infinitely far away
+        require(!std::isnan(corners.data()[i]), "corners of rooms");
     }
-    for (size_t k = 0; k < bounds.cone_link.size(); ++k) {
-      Cone cone{bounds.cone_link.data()[k], rides_on(bounds.cone_link.data()[k]), {}, {}, 0};
-      const double* row = bounds.cone.data() + 7 * k;
-      std::copy_n(row, 3, cone.axis), std::copy_n(row + 3, 3, cone.direction);
-      cone.angle = row[6];
-      cone_.push_back(cone);
+    const auto row = [](const Reals& rows, size_t k, auto& out) {
+      std::copy_n(rows.data() + k * std::size(out), std::size(out), out);
+    };
+    for (size_t k = 0; k < n_cone; ++k) {
+      Cone& cone = cone_.emplace_back();
+      cone.link = bounds.cone_link.data()[k], cone.frame = rides_on(cone.link);
+      row(bounds.cone_axis, k, cone.axis), row(bounds.cone_direction, k, cone.direction);
+      cone.angle = bounds.cone_angle.data()[k];
     }
-    for (size_t k = 0; k < bounds.room_link.size(); ++k) {
-      Room room{bounds.room_link.data()[k], rides_on(bounds.room_link.data()[k]), {}, {}, {}, {}, {}};
-      const double* row = bounds.room.data() + 21 * k;
-      std::copy_n(row, 3, room.point), std::copy_n(row + 3, 9, room.R), std::copy_n(row + 12, 3, room.p);
-      std::copy_n(row + 15, 3, room.lower), std::copy_n(row + 18, 3, room.upper);
-      room_.push_back(room);
+    for (size_t k = 0; k < n_room; ++k) {
+      Room& room = room_.emplace_back();
+      room.link = bounds.room_link.data()[k], room.frame = rides_on(room.link);
+      row(bounds.room_point, k, room.point);
+      row(bounds.room_rotation, k, room.R), row(bounds.room_position, k, room.p);
+      row(bounds.room_lower, k, room.lower), row(bounds.room_upper, k, room.upper);
     }
     tables_.n_cone = int(cone_.size()), tables_.n_room = int(room_.size());
     tables_.cone = cone_.data(), tables_.room = room_.data();

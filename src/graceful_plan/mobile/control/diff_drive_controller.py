@@ -29,11 +29,6 @@ def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
     )
 
 
-def body_speeds(left: float, right: float, base: DiffDrive) -> DriveCommand:
-    """Return the body command for wheel rates [rad/s]; inverse of `wheel_speeds`."""
-    return DriveCommand(0.5 * (left + right) * base.radius, 0.5 * (right - left) * base.radius / base.lever)
-
-
 def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: float) -> DriveCommand:
     """Return the nearest command within the base's limits that is reachable from the previous command.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -10,13 +11,15 @@ import numpy as np
 from graceful_plan.mobile.motions.drive_source import DriveSource
 from graceful_plan.mobile.planners import DRIVING
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
-from graceful_plan.mobile.query.rolling_endpoints import rolling_endpoints
+from graceful_plan.mobile.query.arm_detours import with_arm_detours
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.base_planning import BasePlanning
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.result import PlanResult
+from graceful_plan.result import PlanResult, PlanStatus
+
+_TIGHT = "{}: free, but with less than 2 mm of clearance in the planner's sphere model; a base cannot step out of it"
 
 
 @final
@@ -33,8 +36,14 @@ class PlansForBases(BasePlanning):
         return DriveLattice()
 
     def ends(self, ends: Endpoints) -> Endpoints | PlanResult:
-        """See `rolling_endpoints`."""
-        return rolling_endpoints(ends)
+        """Return the ends that a base can leave and reach by rolling, or a failed result if there are none."""
+        if len(ends.departure) > 1:
+            return PlanResult(status=PlanStatus.INVALID_START, detail=_TIGHT.format("start"))
+        clear = [k for k, arrival in enumerate(ends.arrivals) if len(arrival) == 1]
+        if not clear:
+            return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_TIGHT.format("goal"))
+        arrivals, index = (tuple(of[k] for k in clear) for of in (ends.arrivals, ends.goal_index))
+        return with_arm_detours(replace(ends, arrivals=arrivals, goal_index=index))
 
     def motions(
         self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator

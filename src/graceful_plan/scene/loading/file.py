@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import mujoco
-import numpy as np
 
-from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
+from graceful_plan.exceptions import GracefulPlanError, SceneError
 from graceful_plan.scene import roles
 from graceful_plan.scene.elements import (
-    Adhesion,
-    AllowedContact,
-    Contents,
-    EntityAnnotation,
-    Fingers,
-    Granular,
-    Liquid,
     Notes,
-    ObjectNote,
     Opening,
-    TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.concave import divide_surroundings
+from graceful_plan.scene.loading.entries import (
+    base_entry,
+    contact_entry,
+    entity_entry,
+    fingers_entry,
+    limits_entry,
+    moving_entry,
+    numbers_entry,
+    object_entry,
+    quaternion_entry,
+    severity_entry,
+    state_entry,
+    task_entry,
+)
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.loading.self_contacts import link_contacts
-from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import add_tool
-from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene, warn_of_mistakes
 from graceful_plan.scene.specs import load_spec
 from graceful_plan.scene.tasks import check_keyframes
@@ -46,7 +48,6 @@ _KEYS = (
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
                 "limits", "joints")  # fmt: skip
-_MOVING_KEYS = ("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
 
 
 def read_scene(file: Path) -> Scene:
@@ -75,7 +76,7 @@ def read_scene(file: Path) -> Scene:
     state = root.get("state")
     if state is not None:
         with scene.notes.about("state"):
-            scene = scene.in_state(_state(state))
+            scene = scene.in_state(state_entry(state))
     _check_promises(scene)
     warn_of_mistakes(scene)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
@@ -130,55 +131,23 @@ def _notes(root: Block, file: Path) -> Notes:
         tool=tool.string() if tool else f"{prefix}tool",
         joints=joints.strings() if joints else None,
         body_class=body_class.string() if body_class else "arm_collapse",
-        fingers=_fingers(root.get("fingers")),
-        limits=_limits(robot.get("limits")),
-        velocity=_optional_numbers(robot.get("velocity")),
-        acceleration=_optional_numbers(robot.get("acceleration")),
-        torque=_optional_numbers(robot.get("torque")),
-        base=_base(root.get("base")),
-        entities=lines.table(root, "entities", _entity),
+        fingers=fingers_entry(root.get("fingers")),
+        limits=limits_entry(robot.get("limits")),
+        velocity=numbers_entry(robot.get("velocity")),
+        acceleration=numbers_entry(robot.get("acceleration")),
+        torque=numbers_entry(robot.get("torque")),
+        base=base_entry(root.get("base")),
+        entities=lines.table(root, "entities", entity_entry),
         severity=SeverityTable.shipped(),
-        overrides=lines.table(root, "severity", lambda _, block: _number_or_numbers(block)),
-        objects=lines.table(root, "objects", _object),
-        moving=lines.table(root, "moving", _moving),
+        overrides=lines.table(root, "severity", lambda _, block: severity_entry(block)),
+        objects=lines.table(root, "objects", object_entry),
+        moving=lines.table(root, "moving", moving_entry),
         keyframes=lines.table(root, "keyframes", lambda _, block: block.numbers()),
-        tasks=lines.table(root, "tasks", _task),
-        allowed=tuple(_allowed(block) for block in allowed.entries()) if allowed else (),
+        tasks=lines.table(root, "tasks", task_entry),
+        allowed=tuple(contact_entry(block) for block in allowed.entries()) if allowed else (),
         file=str(file),
         lines=lines.at,
     )
-
-
-def _state(block: Block) -> dict[str, Any] | str:
-    if not block.is_mapping:
-        return block.string()
-    return {name: child.numbers() if child.is_list else child.number() for name, child in block.items()}
-
-
-def _base(block: Block | None) -> DiffDrive | None:
-    if block is None:
-        return None
-    block.only(*(item.name for item in fields(DiffDrive)))
-    given: dict[str, Any] = {}
-    for name, child in block.items():
-        if name in ("joints", "wheels"):
-            given[name] = child.strings()
-        elif name == "reverse":
-            given[name] = child.flag()
-        else:
-            given[name] = child.number()
-    missing = [i.name for i in fields(DiffDrive) if i.default is MISSING and i.name not in given]
-    if missing:
-        raise block.error(f"base needs {', '.join(missing)}")
-    try:
-        return DiffDrive(**given)
-    except SettingError as error:
-        raise block.error(str(error)) from None
-
-
-def _limits(block: Block | None) -> dict[str, tuple[float, float]]:
-    found = {name: pair.numbers(2) for name, pair in block.items()} if block else {}
-    return {name: (pair[0], pair[1]) for name, pair in found.items()}
 
 
 def _prefix(robot: Block) -> str:
@@ -201,7 +170,7 @@ def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
     position, quaternion = root["robot"].get("position"), root["robot"].get("quaternion")
     frame = spec.worldbody.add_frame(
         pos=position.numbers(3) if position else (0.0, 0.0, 0.0),
-        quat=_quaternion(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0),
+        quat=quaternion_entry(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0),
     )
     try:
         spec.attach(load_spec(model), prefix=prefix, frame=frame)
@@ -223,140 +192,3 @@ def _relative(file: Path, block: Block) -> Path:
     if not path.is_file():
         raise block.error(f"there is no file {str(given)!r}")
     return path
-
-
-def _entity(_name: str, block: Block) -> EntityAnnotation:
-    if not block.is_mapping:
-        return EntityAnnotation(category=block.string())
-    block.only("class", "severity")
-    severity = block.get("severity")
-    return EntityAnnotation(
-        category=block["class"].string(), severity=_number_or_numbers(severity) if severity else None
-    )
-
-
-def _moving(name: str, block: Block) -> MovingEntity:
-    block.only(*_MOVING_KEYS)
-    yaw, spread, growth, severity = (block.get(key) for key in ("yaw", "spread", "growth", "severity"))
-    return MovingEntity(
-        name,
-        block["class"].string(),
-        size=np.array(block["size"].numbers()),
-        t=np.array(block["t"].numbers()),
-        position=np.array([row.numbers(3) for row in block["position"].entries()]).reshape(-1, 3),
-        yaw=np.array(yaw.numbers()) if yaw else None,
-        spread=spread.number() if spread else 0.0,
-        growth=growth.number() if growth else 0.0,
-        severity=_number_or_numbers(severity) if severity else None,
-    )
-
-
-def _object(name: str, block: Block) -> ObjectNote:
-    block.only("body", "class", "grasp", "fingers", "grip", "contents")
-    body, object_class, grasp, contents = (block.get(key) for key in ("body", "class", "grasp", "contents"))
-    return ObjectNote(
-        body=body.string() if body else name,
-        X_TO=_pose(grasp) if grasp else None,
-        object_class=object_class.string() if object_class else None,
-        contents=_contents(contents) if contents else None,
-        fingers=_fingers(block.get("fingers")),
-        grip=_grip(block.get("grip")),
-    )
-
-
-def _grip(block: Block | None) -> Adhesion | None:
-    if block is None:
-        return None
-    block.only("force", "radius", "friction")
-    friction = block.get("friction")
-    given = {"friction": friction.number()} if friction else {}
-    return Adhesion(force=block["force"].number(), radius=block["radius"].number(), **given)
-
-
-def _contents(block: Block) -> Contents:
-    block.only("kind", "volume", "temperature", "geoms")
-    kind, temperature, geoms = block["kind"].string(), block.get("temperature"), block.get("geoms")
-    names = geoms.strings() if geoms else ()
-    volume = block["volume"].number()
-    if kind == "dry":
-        if temperature is not None:
-            raise temperature.error("dry contents have no temperature")
-        return Granular(volume, names)
-    if kind not in ("water", "oil"):
-        raise block["kind"].error(f"kind {kind!r}, expected water, oil or dry")
-    return Liquid(volume, temperature.number() if temperature else 20.0, kind, names)
-
-
-def _task(_name: str, block: Block) -> TaskNote:
-    block.only("description", "start", "goal", "object", "support")
-    description, object_name, support = block.get("description"), block.get("object"), block.get("support")
-    if support is not None:
-        support.only("start", "goal")
-        if object_name is None:
-            raise support.error("a task without an object has no support")
-    return TaskNote(
-        start=_end(block["start"]),
-        goal=_goals(block["goal"]),
-        description=description.string() if description else "",
-        object_name=object_name.string() if object_name else None,
-        support=tuple(dict.fromkeys(child.string() for _, child in support.items())) if support else (),
-    )
-
-
-def _end(block: Block) -> str | tuple[float, ...]:
-    return block.numbers() if block.is_list else block.string()
-
-
-def _goals(block: Block) -> tuple[str | tuple[float, ...], ...]:
-    if not block.is_list:
-        return (block.string(),)
-    children = block.entries()
-    if not children:
-        raise block.error("needs at least one goal")
-    if any(child.is_list or child.is_string for child in children):
-        return tuple(_end(child) for child in children)
-    return (block.numbers(),)
-
-
-def _allowed(block: Block) -> AllowedContact:
-    block.only("first", "second", "when")
-    when = block.get("when")
-    word = when.string() if when else "always"
-    if word not in ("always", "ends"):
-        raise block.error(f"when is {word!r}, expected always or ends")
-    return AllowedContact(block["first"].string(), block["second"].string(), word)
-
-
-def _pose(block: Block) -> np.ndarray:
-    block.only("position", "quaternion")
-    X = np.eye(4)
-    position, quaternion = block.get("position"), block.get("quaternion")
-    X[:3, 3] = position.numbers(3) if position else 0.0
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, np.array(_quaternion(quaternion) if quaternion else (0.0, 1.0, 0.0, 0.0)))
-    X[:3, :3] = R.reshape(3, 3)
-    return X
-
-
-def _quaternion(block: Block) -> tuple[float, ...]:
-    values = np.array(block.numbers(4))
-    length = np.linalg.norm(values)
-    if not 0.9 < length < 1.1:
-        raise block.error(f"{block.name} has length {length:g}, expected 1 (wxyz)")
-    return tuple((values / length).tolist())
-
-
-def _number_or_numbers(block: Block) -> float | Mapping[str, float]:
-    return {name: child.number() for name, child in block.items()} if block.is_mapping else block.number()
-
-
-def _fingers(block: Block | None) -> Fingers | None:
-    if block is None or not (block.is_mapping and block.get("opening")):
-        return None if block is None else _number_or_numbers(block)
-    block.only("opening")
-    opening = block["opening"]
-    return Opening(None if opening.is_string and opening.string() == "object" else opening.number())
-
-
-def _optional_numbers(block: Block | None) -> tuple[float, ...] | None:
-    return None if block is None else block.numbers()

@@ -12,7 +12,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.scene.couplings import actuated
+from graceful_plan.scene.equalities import actuated
 from graceful_plan.scene.fingers import Hand, find_stroke, gap_between, leading_joints, moving_bodies
 from graceful_plan.scene.model_parts import colliding_geoms, names
 from graceful_plan.scene.per_scene import per_layout

@@ -32,19 +32,32 @@ void bind_core(nb::module_& m) {
              Reals obstacle_pose, Reals obstacle_size, Reals obstacle_bound, Bits ignores, Integers hull_start,
              Reals triangles, Integers part_component, Integers part_link, Reals part_box, Integers target_entity,
              Reals target_box, int n_component, int n_entity, int tool_link, Reals tool_position, Reals keep,
-             Integers cone_link, Reals cone, Integers room_link, Reals room, const std::string& isa) {
+             Integers cone_link, Reals cone_axis, Reals cone_direction, Reals cone_angle, Integers room_link,
+             Reals room_point, Reals room_rotation, Reals room_position, Reals room_lower, Reals room_upper,
+             const std::string& isa) {
             new (self) Core(
                 {parent, joint, slide, X_PL, n_joint, sphere_link, sphere, bound, self_pair, self_slack, tool_link,
                  tool_position},
                 {obstacle_kind, obstacle_pose, obstacle_size, obstacle_bound, ignores, hull_start, triangles, keep},
                 {part_component, part_link, part_box, target_entity, target_box, n_component, n_entity},
-                {cone_link, cone, room_link, room}, isa);
+                {.cone_link = cone_link,
+                 .cone_axis = cone_axis,
+                 .cone_direction = cone_direction,
+                 .cone_angle = cone_angle,
+                 .room_link = room_link,
+                 .room_point = room_point,
+                 .room_rotation = room_rotation,
+                 .room_position = room_position,
+                 .room_lower = room_lower,
+                 .room_upper = room_upper},
+                isa);
           },
           nb::kw_only(), "parent"_a, "joint"_a, "slide"_a, "X_PL"_a, "n_joint"_a, "sphere_link"_a, "sphere"_a,
           "bound"_a, "self_pair"_a, "self_slack"_a, "obstacle_kind"_a, "obstacle_pose"_a, "obstacle_size"_a,
           "obstacle_bound"_a, "ignores"_a, "hull_start"_a, "triangles"_a, "part_component"_a, "part_link"_a,
           "part_box"_a, "target_entity"_a, "target_box"_a, "n_component"_a, "n_entity"_a, "tool_link"_a,
-          "tool_position"_a, "keep"_a, "cone_link"_a, "cone"_a, "room_link"_a, "room"_a, "isa"_a)
+          "tool_position"_a, "keep"_a, "cone_link"_a, "cone_axis"_a, "cone_direction"_a, "cone_angle"_a, "room_link"_a,
+          "room_point"_a, "room_rotation"_a, "room_position"_a, "room_lower"_a, "room_upper"_a, "isa"_a)
       .def_prop_ro("isa", &Core::isa)
       .def_prop_ro("lanes", &Core::lanes)
       .def("link_poses", &Core::link_poses, "q"_a, WithoutGil())
