@@ -70,6 +70,7 @@ def solve_ik(
     seeds: int = 32,
     rounds: int = 3,
     iterations: int = 60,
+    polish: bool = True,
     seed: int = 0,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> IKResult:
@@ -85,6 +86,8 @@ def solve_ik(
         seeds: Seeds in a round; the next round follows if there are fewer solutions than `count`.
         rounds: Largest number of rounds.
         iterations: Largest number of iterations from each seed.
+        polish: Whether mink continues where no seed converges. Without it, an unreachable pose takes milliseconds
+            instead of tenths of a second; a pose at joint limits may be missed.
         seed: Seed of the random numbers; the result is deterministic.
         cancelled: Polled during the search; once it returns True, the solutions up to then are returned.
     """
@@ -110,7 +113,7 @@ def solve_ik(
     if not solutions.looked_at and not cancelled():
         found, _ = solver.search(draw_seeds(scene, q_start, seeds, rng, 0), iterations, loose=True)
         solutions.add(nearest_turns(found, q_start, scene))
-    if not solutions.looked_at and not cancelled():
+    if polish and not solutions.looked_at and not cancelled():
         nearest = sorted(missed, key=lambda q: solver.badness(solver.errors(q)))[:_RETRIED]
         found, ended = solver.polish(np.array(nearest), iterations // 2)
         best = min(best, solver.errors(ended[0]), key=solver.badness)
