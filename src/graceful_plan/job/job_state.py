@@ -20,7 +20,9 @@ from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
+from graceful_plan.scene.harm.severity import ITSELF
 from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -29,6 +31,8 @@ PoseKey = tuple[float, ...]
 
 _FAR = 100.0
 """Distance to which bodies are moved that shall not be in the way [m]."""
+SAME = 1e-6
+"""Largest difference in an element of two poses that are the same."""
 _KEPT = 512
 """Arranged scenes that are cached per scene."""
 
@@ -121,6 +125,28 @@ class JobState:
         where = {body: X for body, X in self.where.items() if body != name}
         return replace(self, world=_joined(self.world, onto, name, pose_key(X_VL)), where=MappingProxyType(where))
 
+    def on(self, tray: str, slots: Mapping[str, PoseKey]) -> tuple[str, ...]:
+        """Return which objects stand in their slots, poses relative to a tray."""
+        X_TW = np.linalg.inv(self.pose(tray))
+        return tuple(
+            name
+            for name, slot in sorted(slots.items())
+            if np.allclose(X_TW @ self.pose(name), pose_of(slot), atol=SAME)
+        )
+
+    def loaded(self, tray: str, slots: Mapping[str, PoseKey]) -> JobState:
+        """Return the state in which a tray and the objects in their slots are one thing, for a motion of the tray."""
+        riders = self.on(tray, slots)
+        if not riders:
+            return self
+        where = {body: X for body, X in self.where.items() if body not in riders}
+        return replace(
+            self,
+            world=_loaded(self.world, tray, tuple((name, slots[name]) for name in riders)),
+            where=MappingProxyType(where),
+            facts=self.facts | {("joined", name) for name in riders},
+        )
+
     def emptied(self, name: str) -> JobState:
         """Return the state in which nothing can leave an object: it is closed or empty."""
         note = self.world.notes.objects.get(name)
@@ -198,6 +224,23 @@ def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
     # The keyframes are those of the notes; a spec of other bodies has none any more.
     notes = replace(notes, entities=entities, objects=objects, overrides=overrides, state=state)
     return Scene.build(spec, notes)
+
+
+@per_scene
+def _loaded(world: Scene, tray: str, riders: tuple[tuple[str, PoseKey], ...]) -> Scene:
+    """Return the scene in which objects are parts of a tray, which is as precious as all of them together."""
+    parts = (tray, *(name for name, _ in riders))
+    hit = sum(world.entities[name].severity["body"] for name in parts if name in world.entities)
+    lost = sum(world.attach(name, X_TO=FROM_ABOVE).own_severity for name in parts)
+    scene = world
+    for name, slot in riders:
+        scene = _joined(scene, tray, name, slot)
+    carried = scene.attach(tray, X_TO=FROM_ABOVE).carried
+    assert carried is not None and carried.object_class is not None
+    overrides = {**scene.notes.overrides, ITSELF: {carried.object_class: lost}}
+    if tray in scene.entities:
+        overrides[tray] = {"body": hit}
+    return Scene.assemble(scene.posed, replace(scene.notes, overrides=overrides))
 
 
 @per_scene

@@ -19,7 +19,7 @@ import heapq
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from graceful_plan.job.actions import Action, Carry, Deed, Transport
+from graceful_plan.job.actions import Action, Carry, Deed, Loading, Transport
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import Motions, Refusal, added
 
@@ -162,7 +162,8 @@ class SequenceSearch:
         """Return a lower bound of carrying each object that is not at its goal yet."""
         found = {}
         for goal in self.goals:
-            if not goal.is_done(state):
+            by_tray = any(isinstance(action, Loading) and action.name == goal.name for action in self.actions)
+            if not goal.is_done(state) and not by_tray and goal.onto is None:  # a tray may bring both close together
                 ends = (goal.ends(state, choice, self.motions) for choice in goal.candidates(state, self.motions))
                 # Without a candidate, it may be possible after a regrasp.
                 found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
