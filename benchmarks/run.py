@@ -41,6 +41,7 @@ SUBJECTS = (
     "drop_prediction",
     "failure_prediction",
     "own_loss",
+    "jobs",
     "prevention",
     "policies",
     "stops",

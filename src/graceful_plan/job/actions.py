@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -328,9 +328,12 @@ class Wait(Action):
 
     Args:
         max_seconds: Longest wait at a time [s].
+        price: Cost of a second of waiting [1/s], which counts as motion cost: the default is a tenth of what a moving
+            arm of about 2 rad/s costs.
     """
 
     max_seconds: float
+    price: float = 0.2
     name: str = "wait"
     STEPS: ClassVar[int] = 4
     """Number of waits to choose from, evenly spaced."""
@@ -338,15 +341,24 @@ class Wait(Action):
     def __post_init__(self) -> None:
         if not (is_real(self.max_seconds) and 0.0 < self.max_seconds < np.inf):
             raise SettingError("max_seconds", self.max_seconds, "a finite number above 0 [s]")
+        if not (is_real(self.price) and 0.0 <= self.price < np.inf):
+            raise SettingError("price", self.price, "a finite number of at least 0 [1/s]")
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[float]:
         """Yield durations, if there are moving entities and the last action was no wait."""
         if state.world.moving and ("waited", str(state.clock)) not in state.facts:
             yield from (self.max_seconds * (k + 1) / self.STEPS for k in range(self.STEPS))
 
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the price of the wait."""
+        assert isinstance(choice, float)
+        return self.price * choice
+
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Stay at rest."""
         assert isinstance(choice, float)
         piece = motions.still("wait", state.scene(), state.q, choice)
+        cost = replace(piece.cost, motion=piece.cost.motion + self.price * choice)
+        piece = replace(piece, cost=cost)
         then = state.after(state.q, choice)
         return Deed(steps=[("wait", self.name, [piece])], state=then.knowing("waited", str(then.clock)))

@@ -87,7 +87,7 @@ class JobResult:
     @property
     def duration(self) -> float:
         """Time that the whole job takes [s]."""
-        return sum(step.duration for step in self.steps)
+        return sum((step.duration for step in self.steps), 0.0)
 
     def unwrap(self) -> tuple[Step, ...]:
         """Return the steps of a solved job.
