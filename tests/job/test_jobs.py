@@ -229,17 +229,30 @@ def test_states_with_equal_surroundings_have_equal_keys() -> None:
 
 @pytest.mark.long
 def test_the_arm_waits_until_a_person_has_passed() -> None:
-    person = gp.MovingEntity(
-        "person",
-        "adult",
-        size=[0.2, 0.2, 0.8],
-        t=[0.0, 6.0, 8.0],
-        position=[[0.9, 0.1, 0.8], [0.9, 0.1, 0.8], [4, 0, 0.8]],
-    )
-    scene = job_scene("order").with_moving(person)
-    job = gp.Job(scene).place("crate", at=[0.5, 0.48, 0.4]).allow(gp.Wait(max_seconds=8.0))
-    kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=30).unwrap()] for w in (0.0, 10.0)]
+    job = gp.Job(job_scene("person")).place("mug", at=[0.6, 0.3, 0.4]).allow(gp.Wait(max_seconds=8.0))
+    kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=8).unwrap()] for w in (0.0, 3.0)]
     assert kinds[0] == ["pick", "place"] and "wait" in kinds[1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("allowed", [(), (gp.Wait(max_seconds=8.0),)], ids=["no wait", "wait"])
+def test_other_objects_come_first_while_a_person_stands_at_a_goal(allowed: tuple[gp.Wait, ...]) -> None:
+    job = gp.Job(job_scene("person")).place("mug", at=[0.6, 0.3, 0.4])
+    job.place("crate", at=[0.4, 0.4, 0.4]).place("box", at=[0.4, 0.2, 0.4]).allow(*allowed)
+    careful = gp.plan_job(job, 1.0, grasps=1, iterations=16)
+    assert careful.order[-1] == "mug" and len(careful.steps) == 6
+    if not allowed:
+        assert gp.plan_job(job, 0.0, grasps=1, iterations=16).order[-1] != "mug"
+
+
+def test_nothing_waits_for_moving_entities_that_have_arrived() -> None:
+    scene = job_scene("person")
+    state, search = JobState(world=scene, q=scene.keyframes["ready"]), JobSession(order_job(), gp.Objective(), grasps=1)
+    wait, motions = gp.Wait(max_seconds=4.0), search.search().motions
+    assert list(wait.candidates(state, motions)) == [1.0, 2.0, 3.0, 4.0]
+    late, later = (state.after(state.q, seconds) for seconds in (8.0, 9.0))
+    assert not list(wait.candidates(late, motions))
+    assert late.key == later.key and late.key != state.key and late.scene() is later.scene()
 
 
 def test_a_lid_on_a_vessel_has_not_arrived_elsewhere() -> None:

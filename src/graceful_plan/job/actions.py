@@ -345,8 +345,8 @@ class Wait(Action):
             raise SettingError("price", self.price, "a finite number of at least 0 [1/s]")
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[float]:
-        """Yield durations, if there are moving entities and the last action was no wait."""
-        if state.world.moving and ("waited", str(state.clock)) not in state.facts:
+        """Yield durations, if an entity still moves and the last action was no wait."""
+        if state.is_moving and ("waited", str(state.clock)) not in state.facts:
             yield from (self.max_seconds * (k + 1) / self.STEPS for k in range(self.STEPS))
 
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:

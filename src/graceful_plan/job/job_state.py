@@ -68,8 +68,17 @@ class JobState:
     @cached_property
     def surroundings(self) -> tuple[object, ...]:
         """Key of everything but the arm: equal keys mean equal surroundings."""
-        time = (self.clock,) if self.world.moving else ()
-        return id(self.world), tuple(sorted(self.where.items())), self.facts, time
+        return id(self.world), tuple(sorted(self.where.items())), self.facts, self.moved_for
+
+    @property
+    def moved_for(self) -> float:
+        """Time for which moving entities have moved [s], at most until the last of them stops."""
+        return min(self.clock, max((float(entity.t[-1]) for entity in self.world.moving.values()), default=0.0))
+
+    @property
+    def is_moving(self) -> bool:
+        """Tell whether a moving entity has not arrived yet."""
+        return any(self.clock < entity.t[-1] for entity in self.world.moving.values())
 
     @cached_property
     def key(self) -> tuple[object, ...]:
@@ -90,9 +99,7 @@ class JobState:
         return self._now(_arranged(self.world, others, (name, grasp, support), None))
 
     def _now(self, scene: Scene) -> Scene:
-        if not scene.moving or not self.clock:
-            return scene
-        return scene.with_moving(*(entity.later(-self.clock) for entity in scene.moving.values()))
+        return _later(scene, self.moved_for) if self.moved_for else scene
 
     def moved(self, name: str, X_WO: Float[Array, "4 4"]) -> JobState:
         """Return the state with a body elsewhere."""
@@ -151,6 +158,11 @@ class JobState:
         """Return the state in which nothing can leave an object: it is closed or empty."""
         note = self.world.notes.objects.get(name)
         return self if note is None or note.contents is None else replace(self, world=_emptied(self.world, name))
+
+
+@per_scene(most=_KEPT)
+def _later(scene: Scene, seconds: float) -> Scene:
+    return scene.with_moving(*(entity.later(-seconds) for entity in scene.moving.values()))
 
 
 def _shifted(X: Float[Array, "4 4"], x: float) -> Float[Array, "4 4"]:

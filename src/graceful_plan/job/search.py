@@ -2,9 +2,10 @@
 
 A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
 placement. Edges are planned only when they are the best left. They are ordered by an estimate: what carrying the same
-object between the same places has cost before, or else their lower bound times the mean ratio of costs to bounds. An
+object between the same places has cost before, or else their lower bound times the mean ratio of costs to bounds; the
+objects that are left count with the least that carrying them has cost so far. An
 edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first sequence is
-complete, the deepest node comes first.
+complete, the deepest node comes first, and actions that meet a goal come before all others.
 
 References:
     C. Dellin and S. Srinivasa, "A Unifying Formalism for Shortest Path Problems with Expensive Edge Evaluations via
@@ -16,15 +17,21 @@ References:
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from graceful_plan.job.actions import Action, Carry, Deed, Loading, Transport
+import numpy as np
+
+from graceful_plan.job.actions import Action, Carry, Deed, Loading, Transport, Wait
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import Motions, Refusal, added
 
 _TIME_PRICE = 1e-3
 """Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
+_FAR = 1e6
+"""More than any cost: what orders edges by depth."""
+_ENDANGERED = 0.01
+"""Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
 _RATIO = 2.0
 """Ratio of cost to lower bound that is assumed before any edge is planned."""
 
@@ -40,13 +47,21 @@ class Node:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edge:
-    """An action that is possible in the state of a node, not planned yet; `least` bounds the cost of its sequences."""
+    """An action that is possible in the state of a node, not planned yet.
+
+    `bound` bounds its cost, and `missing` that of carrying each other object to its goal.
+    """
 
     node: Node
     action: Action
     choice: Hashable
     bound: float
-    least: float
+    missing: Mapping[str, float]
+
+    @property
+    def least(self) -> float:
+        """Lower bound of the cost of all sequences with this edge."""
+        return self.node.cost + self.bound + sum(self.missing.values())
 
 
 @dataclass(eq=False)
@@ -77,7 +92,11 @@ class SequenceSearch:
     """Whether a motion was not found in time, so that there may be more sequences."""
     _open: list[tuple[float, int, Edge]] = field(default_factory=list)
     _carried: dict[Hashable, float] = field(default_factory=dict)
+    _cheapest: dict[str, float] = field(default_factory=dict)
+    """Least cost of each goal object's transports that were planned."""
     _ratios: list[float] = field(default_factory=list)
+    _waited: dict[int, Node] = field(default_factory=dict)
+    """Nodes by id in which waits are tried."""
     _number: int = 0
 
     def run(self, over: Callable[[int], bool], improved: Callable[[Node], None] = lambda _: None) -> None:
@@ -92,6 +111,7 @@ class SequenceSearch:
                 continue
             node = self.child(edge)
             if node is not None:
+                self._push(self._waits(edge.node, node))
                 self._expand(node, seen, improved)
         self.exhausted = True
 
@@ -103,7 +123,7 @@ class SequenceSearch:
 
     def child(self, edge: Edge) -> Node | None:
         """Plan an edge; return the node that it leads to, or None if the action is not possible."""
-        self.planned += 1
+        self.planned += not isinstance(edge.action, Wait)  # which needs no planning
         deed = edge.action.motion(edge.node.state, edge.choice, self.motions)
         if isinstance(deed, Refusal):
             self.refusals[deed.name] = deed
@@ -114,20 +134,22 @@ class SequenceSearch:
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
         self._carried[_memory(edge)] = cost - transit
+        if edge.action in self.goals:
+            self._cheapest[edge.action.name] = min(cost, self._cheapest.get(edge.action.name, np.inf))
         if edge.bound > 0.0:
             self._ratios.append(cost / edge.bound)
         return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
 
-    def edges(self, node: Node) -> Iterator[Edge]:
-        """Yield the actions that are possible in the state of a node."""
+    def edges(self, node: Node, actions: Sequence[Action] | None = None) -> Iterator[Edge]:
+        """Yield the actions, by default all, that are possible in the state of a node."""
         missing = self._missing(node.state)
-        for action in self.actions:
+        for action in self.actions if actions is None else actions:
             if not self._in_order(node.state, action):
                 continue
-            rest = sum(least for name, least in missing.items() if name != action.name)
+            rest = {name: least for name, least in missing.items() if name != action.name}
             for choice in action.candidates(node.state, self.motions):
                 bound = action.bound(node.state, choice, self.motions)
-                yield Edge(node=node, action=action, choice=choice, bound=bound, least=node.cost + bound + rest)
+                yield Edge(node=node, action=action, choice=choice, bound=bound, missing=rest)
 
     def is_complete(self, state: JobState) -> bool:
         """Tell whether all goals are met."""
@@ -147,10 +169,28 @@ class SequenceSearch:
                     heapq.heapify(self._open)
                 improved(node)
             return
-        for edge in self.edges(node):
+        self._push(self.edges(node, [action for action in self.actions if not isinstance(action, Wait)]))
+
+    def _waits(self, node: Node, child: Node) -> Iterator[Edge]:
+        """Yield waits before an action that endangers moving entities, once for each node.
+
+        A wait before an action that endangers none is no better than the same wait after it.
+        """
+        waits = [action for action in self.actions if isinstance(action, Wait)]
+        if waits and id(node) not in self._waited:
+            pieces = [piece for _, _, some in child.deeds[-1].steps for piece in some]
+            harm = sum(
+                piece.cost.impact_by_entity.get(name, 0.0) for piece in pieces for name in node.state.world.moving
+            )
+            if self.motions.objective.w * harm > _ENDANGERED * (child.cost - node.cost):
+                self._waited[id(node)] = node
+                yield from self.edges(node, waits)
+
+    def _push(self, edges: Iterator[Edge]) -> None:
+        for edge in edges:
             self._number += 1
-            deep = 0.0 if self.best is not None else 1e6 * len(node.deeds)
-            heapq.heappush(self._open, (self._estimate(edge) - deep, self._number, edge))
+            ahead = 0.0 if self.best is not None else _FAR * (2 * len(edge.node.deeds) + (edge.action in self.goals))
+            heapq.heappush(self._open, (self._estimate(edge) - ahead, self._number, edge))
 
     def _in_order(self, state: JobState, action: Action) -> bool:
         if action.name not in self.order or not any(action is goal for goal in self.goals):
@@ -172,8 +212,8 @@ class SequenceSearch:
     def _estimate(self, edge: Edge) -> float:
         ratio = sum(self._ratios) / len(self._ratios) if self._ratios else _RATIO
         known = self._carried.get(_memory(edge))
-        rest = edge.least - edge.node.cost - edge.bound
-        return edge.node.cost + (ratio * edge.bound if known is None else known) + ratio * rest
+        rest = sum(self._cheapest.get(name, ratio * least) for name, least in edge.missing.items())
+        return edge.node.cost + (ratio * edge.bound if known is None else known) + rest
 
 
 def _memory(edge: Edge) -> Hashable:
