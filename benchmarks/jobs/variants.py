@@ -103,3 +103,11 @@ def variant(name: str, number: int) -> Variant:
         note = scene.moving[body] if body in scene.moving else scene.entities[body]
         severity[body] = {component: factor * value for component, value in table.rows[note.category].items()}
     return Variant(scene=scene.edit(move=moved).with_severity(severity), kind=kind, goals=goals)
+
+
+def eight_objects() -> Variant:
+    """Return a job with eight objects, each of which goes to the mirrored place on the other side of a table."""
+    scene = gp.load_scene(FOLDER / "lay.yaml")
+    data = scene.data_at(scene.keyframes["ready"])
+    goals = {name: data.body(name).xpos * [1.0, -1.0, 1.0] for name in scene.entities if name != "table"}
+    return Variant(scene=scene, kind=JobKind(goals={name: at.tolist() for name, at in goals.items()}), goals=goals)

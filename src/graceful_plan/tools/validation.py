@@ -88,9 +88,7 @@ def validate_job(result: JobResult, failures: int, *, seed: int) -> Validation:
     report = importlib.import_module("failbench").validate_job(result, n=failures, seed=seed)
     parts = (report.observed, *report.by_step)
     mean, *by_step = ({"mean": part.mean, "low": part.low, "high": part.high, "n": part.n} for part in parts)
-    lines = [f"harm per executed job: {report.observed}"]
-    lines += [f"  {step.kind} {step.name}: {part}" for step, part in zip(result.steps, report.by_step, strict=True)]
-    return Validation({"observed": mean, "by_step": by_step}, "\n".join(lines))
+    return Validation({"observed": mean, "by_step": by_step}, str(report))
 
 
 def _failbench(argv: list[str]) -> str:
