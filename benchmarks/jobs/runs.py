@@ -27,7 +27,7 @@ OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
     "fragile last",
 )
 METHODS = (OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE)
-ACTIONS, GRASPS = 30, 3
+ACTIONS, GRASPS = 24, 3
 """Planned actions of a search, and grasps of each object to choose from."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
 DEGREE = "severe"
@@ -102,10 +102,12 @@ def measure(run: Run) -> Measured:
 
 def planned(one: Variant, w: float, seed: int) -> dict[str, JobResult]:
     """Plan a variant in all ways; ways with the same order share a result."""
-    effort = {"grasps": GRASPS, "iterations": ACTIONS, "seed": seed}
-    ours = gp.plan_job(one.job(), w, **effort)
-    blind = gp.plan_job(one.job(), 0.0, **effort)
-    bare = gp.plan_job(one.job(extras=False), w, **effort)
+
+    def plan(job: gp.Job, weight: float) -> JobResult:
+        return gp.plan_job(job, weight, grasps=GRASPS, iterations=ACTIONS, seed=seed)
+
+    ours, blind = plan(one.job(), w), plan(one.job(), 0.0)
+    bare = plan(one.job(extras=False), w)
     orders = {BLIND_ORDER: blind.order, NEAREST: nearest_first(one), FRAGILE: fragile_last(one)}
     by_order = {bare.order: bare}
     found = {OURS: ours, BLIND: blind}

@@ -89,8 +89,12 @@ def run(options: suite.Options) -> str:
 
 
 def _read(file: Path) -> list[Measured]:
-    lines = list(store.read_lines(file))
-    return [Measured(**{**line, "ways": {name: Way(**way) for name, way in line["ways"].items()}}) for line in lines]
+    found = []
+    for line in store.read_lines(file):
+        one = Measured(**line)
+        one.ways = {name: Way(**way) for name, way in line["ways"].items()}
+        found.append(one)
+    return found
 
 
 def less(one: Measured, method: str) -> float:

@@ -3,7 +3,8 @@
 A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
 placement. Edges are planned only when they are the best left. They are ordered by an estimate: what carrying the same
 object between the same places has cost before, or else their lower bound times the mean ratio of costs to bounds; the
-objects that are left count with the least that carrying them has cost so far. An
+objects that are left count with the least that carrying them has cost so far with as much protection, or with the
+least motion cost if that is not known. An
 edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first sequence is
 complete, the deepest node comes first, and actions that meet a goal come before all others.
 
@@ -92,8 +93,8 @@ class SequenceSearch:
     """Whether a motion was not found in time, so that there may be more sequences."""
     _open: list[tuple[float, int, Edge]] = field(default_factory=list)
     _carried: dict[Hashable, float] = field(default_factory=dict)
-    _cheapest: dict[str, float] = field(default_factory=dict)
-    """Least cost of each goal object's transports that were planned."""
+    _cheapest: dict[Hashable, float] = field(default_factory=dict)
+    """Least cost of each goal object's transports that were planned, by protection; least motion cost for None."""
     _ratios: list[float] = field(default_factory=list)
     _waited: dict[int, Node] = field(default_factory=dict)
     """Nodes by id in which waits are tried."""
@@ -133,9 +134,11 @@ class SequenceSearch:
         seconds = sum(piece.trajectory.duration for piece in pieces)
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
-        self._carried[_memory(edge)] = cost - transit
+        self._carried[self._memory(edge)] = cost - transit
         if edge.action in self.goals:
-            self._cheapest[edge.action.name] = min(cost, self._cheapest.get(edge.action.name, np.inf))
+            name, motion = edge.action.name, sum(piece.cost.motion for piece in pieces)
+            for known, value in (((name, self._protection(edge.node.state)), cost), ((name, None), motion)):
+                self._cheapest[known] = min(value, self._cheapest.get(known, np.inf))
         if edge.bound > 0.0:
             self._ratios.append(cost / edge.bound)
         return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
@@ -211,14 +214,25 @@ class SequenceSearch:
 
     def _estimate(self, edge: Edge) -> float:
         ratio = sum(self._ratios) / len(self._ratios) if self._ratios else _RATIO
-        known = self._carried.get(_memory(edge))
-        rest = sum(self._cheapest.get(name, ratio * least) for name, least in edge.missing.items())
+        known = self._carried.get(self._memory(edge))
+        # What clears the way, or closes a lid, may free the motions that follow of all harm.
+        is_usual = edge.action in self.goals or isinstance(edge.action, Wait)
+        protection = self._protection(edge.node.state) if is_usual else None
+        rest = 0.0
+        for name, least in edge.missing.items():
+            motion = self._cheapest.get((name, None), ratio * least)
+            rest += self._cheapest.get((name, protection), motion)
         return edge.node.cost + (ratio * edge.bound if known is None else known) + rest
 
+    def _protection(self, state: JobState) -> Hashable:
+        """Return what decides how much harm carrying things does, beside the goals met: what was cleared or closed."""
+        goals = {goal.name for goal in self.goals}
+        cleared = tuple(sorted((name, X) for name, X in state.where.items() if name not in goals))
+        return id(state.world), cleared, frozenset(fact for fact in state.facts if fact[0] != "waited")
 
-def _memory(edge: Edge) -> Hashable:
-    """Return what edges of about the same cost share: the object, the grasp, from where to where, open or closed."""
-    if not isinstance(edge.choice, Carry):
-        return id(edge.action), edge.choice
-    here = pose_key(edge.node.state.pose(edge.action.name))
-    return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, id(edge.node.state.world)
+    def _memory(self, edge: Edge) -> Hashable:
+        """Return what edges of about the same cost share: the object, the grasp, from where to where, protection."""
+        if not isinstance(edge.choice, Carry):
+            return id(edge.action), edge.choice
+        here, protection = pose_key(edge.node.state.pose(edge.action.name)), self._protection(edge.node.state)
+        return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, protection
