@@ -103,7 +103,7 @@ def test_the_lid_pays_from_some_weight_on() -> None:
 
 @pytest.mark.long
 def test_clearing_once_pays_from_some_count_on() -> None:
-    kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=60).unwrap()] for n in (1, 3)]
+    kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=24).unwrap()] for n in (1, 3)]
     assert "clear" not in kinds[0] and "clear" in kinds[1]
 
 

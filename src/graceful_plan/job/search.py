@@ -1,12 +1,11 @@
 """Search over sequences of actions: anytime, lazy, best first.
 
 A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
-placement. Edges are planned only when they are the best left. They are ordered by an estimate: what carrying the same
-object between the same places has cost before, or else their lower bound times the mean ratio of costs to bounds; the
-objects that are left count with the least that carrying them has cost so far with as much protection, or with the
-least motion cost if that is not known. An
-edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first sequence is
-complete, the deepest node comes first, and actions that meet a goal come before all others.
+placement. Edges are planned only when they are the best left. They are ordered by an estimate: the known cost of
+carrying the same object between the same places, or else their lower bound times the mean ratio of costs to bounds.
+Each remaining object adds its least known cost with the same protection, such as closed lids, or else its least known
+motion cost. An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first
+sequence is complete, the deepest node comes first, and actions that meet a goal come before all others.
 
 References:
     C. Dellin and S. Srinivasa, "A Unifying Formalism for Shortest Path Problems with Expensive Edge Evaluations via
@@ -30,7 +29,7 @@ from graceful_plan.job.motions import Motions, Refusal, added
 _TIME_PRICE = 1e-3
 """Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
 _FAR = 1e6
-"""More than any cost: what orders edges by depth."""
+"""More than any cost, so that edges are ordered by depth first."""
 _ENDANGERED = 0.01
 """Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
 _RATIO = 2.0
@@ -205,8 +204,12 @@ class SequenceSearch:
         """Return a lower bound of carrying each object that is not at its goal yet."""
         found = {}
         for goal in self.goals:
+            if goal.is_done(state):
+                continue
             by_tray = any(isinstance(action, Loading) and action.name == goal.name for action in self.actions)
-            if not goal.is_done(state) and not by_tray and goal.onto is None:  # a tray may bring both close together
+            if by_tray or goal.onto is not None or goal.slots:
+                found[goal.name] = 0.0  # a tray may bring both close together, and has other grasps when it is loaded
+            else:
                 ends = (goal.ends(state, choice, self.motions) for choice in goal.candidates(state, self.motions))
                 # Without a candidate, it may be possible after a regrasp.
                 found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
@@ -225,7 +228,7 @@ class SequenceSearch:
         return edge.node.cost + (ratio * edge.bound if known is None else known) + rest
 
     def _protection(self, state: JobState) -> Hashable:
-        """Return what decides how much harm carrying things does, beside the goals met: what was cleared or closed."""
+        """Return a key of the bodies that were cleared and the lids that were closed."""
         goals = {goal.name for goal in self.goals}
         cleared = tuple(sorted((name, X) for name, X in state.where.items() if name not in goals))
         return id(state.world), cleared, frozenset(fact for fact in state.facts if fact[0] != "waited")
