@@ -27,7 +27,7 @@ OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
     "fragile last",
 )
 METHODS = (OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE)
-ACTIONS, GRASPS = 24, 3
+ACTIONS, GRASPS = 20, 3
 """Planned actions of a search, and grasps of each object to choose from."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
 DEGREE = "severe"
