@@ -75,7 +75,7 @@ class Carry:
 @final
 @dataclass(frozen=True, eq=False)
 class Transport(Action):
-    """Carry an object from where it stands to a given pose, or to any of several, with all that stands on it.
+    """Carry an object from where it stands to a given pose, or to any of several, with the objects in its slots.
 
     Args:
         name: The object.
@@ -181,7 +181,7 @@ class CloseLid:
 @final
 @dataclass(frozen=True)
 class Load:
-    """Allow to put goal objects on a tray, and to carry the tray with all that stands on it. For `Job.allow`.
+    """Allow to put goal objects on a tray, and to carry the tray with them. For `Job.allow`.
 
     Only objects without contents are put on it: a spill from a tray is not modelled.
 
@@ -328,8 +328,8 @@ class Wait(Action):
 
     Args:
         max_seconds: Longest wait at a time [s].
-        price: Cost of a second of waiting [1/s], which counts as motion cost: the default is a tenth of what a moving
-            arm of about 2 rad/s costs.
+        price: Cost of a second of waiting [1/s], which counts as motion cost. The default is a tenth of the motion cost
+            of an arm at about 2 rad/s.
     """
 
     max_seconds: float

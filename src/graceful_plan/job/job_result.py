@@ -30,7 +30,9 @@ class JobFailed(GracefulPlanError, RuntimeError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """A step of a job: "pick", "place", "clear", "close_lid", "wait" or that of an own action.
+    """A step of a job.
+
+    Its kind is "pick", "place", "clear", "close_lid", "load", "carry" (a tray), "wait" or that of an own action.
 
     | field  | meaning                                                   |
     |--------|-----------------------------------------------------------|
