@@ -95,7 +95,7 @@ def test_a_stop_brakes_straight_ahead(easy):
 def test_a_policy_has_no_motion_to_prepare_stops_along(easy):
     batch = EpisodeBatch(easy, 1)
     stop = reactions()["protective_stop"](prepared=0.1)
-    episode = batch.begin(0, np.random.default_rng(0), Job(fault=stop, onset=0.1, seed=0))
+    episode = batch.begin(0, np.random.default_rng(0), RolloutRequest(fault=stop, onset=0.1, seed=0))
     with pytest.raises(UnsupportedError, match="planned motion"):
         while episode.time < 0.2:
             batch.advance({0: ("joint_velocity", np.full_like(easy.start, 0.1))})
