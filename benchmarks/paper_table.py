@@ -139,18 +139,20 @@ def samples(stops: Sequence[Array]) -> list[Array]:
     return [stops[0], *(stop for stop in stops[1:-1] for _ in range(2)), stops[-1]]
 
 
-def failures(trajectory: gp.Trajectory, stops: Sequence[Array], count: int, seed: int) -> list[failbench.Job]:
+def failures(
+    trajectory: gp.Trajectory, stops: Sequence[Array], count: int, seed: int
+) -> list[failbench.RolloutRequest]:
     """Return gripper failures: 30 % at any time before the via point, 70 % at any time after it."""
     draws = draw(seed, count)
     onsets = onset(draws.quantile, trajectory, stops)
     fault = GripperFailure(degree="critical")
     return [
-        failbench.Job(fault=fault, onset=float(time), seed=int(number))
+        failbench.RolloutRequest(fault=fault, onset=float(time), seed=int(number))
         for time, number in zip(onsets, draws.seed, strict=True)
     ]
 
 
-def paper_failures(trajectory: gp.Trajectory, seed: int) -> list[failbench.Job]:
+def paper_failures(trajectory: gp.Trajectory, seed: int) -> list[failbench.RolloutRequest]:
     """Return the gripper failures among the runs of the paper's protocol; in the others nothing fails.
 
     They are drawn as the paper says, independently of each other, and not shared out evenly as those of `failures`.
@@ -159,7 +161,7 @@ def paper_failures(trajectory: gp.Trajectory, seed: int) -> list[failbench.Job]:
     fails, step, number = rng.random(RUNS) < FAILURE_SHARE, rng.random(RUNS), rng.integers(2**53, size=RUNS)
     fault = GripperFailure(degree="critical")
     return [
-        failbench.Job(fault=fault, onset=float(step[i] * trajectory.duration), seed=int(number[i]))
+        failbench.RolloutRequest(fault=fault, onset=float(step[i] * trajectory.duration), seed=int(number[i]))
         for i in np.flatnonzero(fails)
     ]
 

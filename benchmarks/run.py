@@ -42,6 +42,7 @@ SUBJECTS = (
     "drop_prediction",
     "failure_prediction",
     "own_loss",
+    "jobs",
     "prevention",
     "policies",
     "stops",

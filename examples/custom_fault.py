@@ -44,7 +44,7 @@ def main(count: int = 20) -> list[failbench.Rollout]:
     plan = gp.plan(task.start, task.goal, task.scene, iterations=20)
     healthy = failbench.execute(plan, failbench.build_world(task.scene))
     jobs = [
-        failbench.Job(
+        failbench.RolloutRequest(
             fault=Runaway(targets=("panda/joint4",), backwards=i % 2 == 1),
             onset=(i + 0.5) / count * healthy.duration,
             seed=i,

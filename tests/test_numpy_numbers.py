@@ -12,7 +12,7 @@ import pytest
 import failbench
 import graceful_plan as gp
 import shape_checks
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan import documents
 from graceful_plan.annotation.annotations import Annotation
 from graceful_plan.annotation.endpoint import Endpoint
@@ -153,7 +153,7 @@ _CALLS = {
     "validate": lambda t: failbench.validate(
         _motion(t), t.scene, n=N(1), horizon=F(0.05), seed=N(0), rate=F(1e-3), confidence=F(0.9), threads=N(1)
     ),
-    "job": lambda t: Job(fault=failbench.faults()["weak_grip"](), onset=F(0.5), seed=N(3), weight=F(1)),
+    "job": lambda t: RolloutRequest(fault=failbench.faults()["weak_grip"](), onset=F(0.5), seed=N(3), weight=F(1)),
     "bench": lambda t: settle(seeds=N(2), seconds=F(2), w=F(0.5), processes=N(1)),
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ from failbench.calibrations.failures import DROP
 from failbench.recording.records import Rollout
 from failbench.recording.score import damage_by_energy, impact_by_entity
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.scene.harm.fragility import FragilityTable
 
@@ -173,7 +173,7 @@ def _drops(carry: Transport, execution: fb.Execution, drops: int, seconds: float
     scene, trajectory = carry.scene, execution.trajectory
     rollouts = [
         rollout
-        for rollout in run_rollouts(execution, make_jobs(DROP, execution.duration, n=drops, seed=SEED), threads=1)
+        for rollout in run_rollouts(execution, make_requests(DROP, execution.duration, n=drops, seed=SEED), threads=1)
         if rollout.status == "completed"
     ]
     state = trajectory.at(trajectory.t[0] + np.array([rollout.onset for rollout in rollouts]))

@@ -17,7 +17,7 @@ from benchmarks import report, suite
 from failbench.fault.registry import GripperFailure, faults
 from failbench.recording.recorder import Recorder
 from failbench.rollouts import rollout
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from failbench.simulated.states import CHECKPOINT
 
 TITLE = "FailBench: rollouts a second"
@@ -57,8 +57,8 @@ def run(options: suite.Options) -> str:
     # Multiples of 19 rollouts cover all faults.
     n_drops, n_mixed, loop, rounds = options.pick((256, 190, 38, 5), quick=(32, 19, 19, 1))
     execution = prepared()
-    drops = make_jobs([GripperFailure()], execution.duration, n=n_drops)
-    mixed = make_jobs([fault() for fault in faults().values()], execution.duration, n=n_mixed)
+    drops = make_requests([GripperFailure()], execution.duration, n=n_drops)
+    mixed = make_requests([fault() for fault in faults().values()], execution.duration, n=n_mixed)
     looped = mixed[:loop]
     still = dataclasses.replace(execution, world=_without_sleep(execution.world))
     work: dict[str, tuple[int, Callable[[], object]]] = {
@@ -85,7 +85,9 @@ def prepared() -> failbench.Execution:
     return failbench.execute(planned, failbench.build_world(task.scene))
 
 
-def plain_rollout(execution: failbench.Execution, job: failbench.Job, *, anew: bool = False) -> failbench.Rollout:
+def plain_rollout(
+    execution: failbench.Execution, job: failbench.RolloutRequest, *, anew: bool = False
+) -> failbench.Rollout:
     """Do one rollout step by step in Python.
 
     Args:
@@ -117,12 +119,12 @@ def same(first: failbench.Rollout, second: failbench.Rollout) -> bool:
     )
 
 
-def _loop(execution: failbench.Execution, jobs: Sequence[failbench.Job], *, anew: bool = False) -> None:
+def _loop(execution: failbench.Execution, jobs: Sequence[failbench.RolloutRequest], *, anew: bool = False) -> None:
     for job in jobs:
         plain_rollout(execution, job, anew=anew)
 
 
-def _differing(execution: failbench.Execution, jobs: Sequence[failbench.Job]) -> int:
+def _differing(execution: failbench.Execution, jobs: Sequence[failbench.RolloutRequest]) -> int:
     """Return the number of native rollouts that differ from the plain loop."""
     native = failbench.run_rollouts(execution, jobs, horizon=HORIZON, threads=2)
     return sum(not same(rollout, plain_rollout(execution, rollout.job)) for rollout in native)

@@ -12,7 +12,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from failbench.fault.registry import faults
 from failbench.recording.score import own_damage
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS, carried_mass
 from graceful_plan.costs.models.drop.release import heights, release
 from graceful_plan.costs.models.drop.tables import drop_tables
@@ -79,7 +79,7 @@ def measure(job: tuple[str, int]) -> OwnLosses:
     else:
         return losses
     drop = faults()["gripper_failure"](degree="critical")
-    jobs = make_jobs([drop], execution.duration, n=drops, seed=0)
+    jobs = make_requests([drop], execution.duration, n=drops, seed=0)
     _add(losses, task.scene, execution, failbench.run_rollouts(execution, jobs, horizon=_HORIZON, threads=1))
     return losses
 

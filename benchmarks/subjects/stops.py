@@ -113,7 +113,9 @@ def measure(job: tuple[str, float, int, int]) -> list[Moment]:
     onsets = np.sort(np.random.default_rng(seed).uniform(0.02, 0.98, count)) * motion.duration
     kinds = list(STOPS)
     jobs = [
-        failbench.Job(fault=STOPS[kind], onset=float(onset), seed=seed) for onset in onsets.tolist() for kind in kinds
+        failbench.RolloutRequest(fault=STOPS[kind], onset=float(onset), seed=seed)
+        for onset in onsets.tolist()
+        for kind in kinds
     ]
     horizon = motion.duration - float(onsets[0]) + 0.2
     rollouts = failbench.run_rollouts(execution, jobs, horizon=horizon, threads=1)

@@ -20,8 +20,8 @@ from failbench.mobile.driving import drive_base as drive_base
 from failbench.pictures.playback import replay as replay
 from failbench.recording.healthy import HealthyHarm as HealthyHarm
 from failbench.recording.records import ContactEvent as ContactEvent
-from failbench.recording.records import Job as Job
 from failbench.recording.records import Rollout as Rollout
+from failbench.recording.records import RolloutRequest as RolloutRequest
 from failbench.recording.score import energy_impact as energy_impact
 from failbench.recording.score import observed_impact as observed_impact
 from failbench.recording.score import own_loss as own_loss

@@ -25,7 +25,7 @@ from failbench.recording.score import greatest_touch, observed_impact
 from failbench.report import FAILURES_PER_HOUR
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import check_whole, make_jobs, thread_count
+from failbench.rollouts.sampling import check_whole, make_requests, thread_count
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
 from failbench.validation import Motion, Scenarios, chosen_faults
@@ -172,7 +172,7 @@ class _Racer:
         execution = self._execution
         n = -(-_FIRST // len(faults)) * len(faults) * 2**number
         # Numbers of failures differ between rounds, and with them the draws.
-        jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
+        jobs = make_requests(faults, execution.duration, n=n, seed=seed)
         rollouts = run_rollouts(execution, jobs, horizon=horizon, threads=threads)
         scene, healthy = execution.world.scene, execution.healthy
         found = [

@@ -18,6 +18,9 @@ from failbench.validation import chosen_faults, strikes, validate
 from graceful_plan.exceptions import SettingError
 from graceful_plan.job.job_result import JobMotion, JobResult
 
+_BAR = 20
+"""Width of the bar that stands for all harm [characters]."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ValidatedMotion:
@@ -36,14 +39,28 @@ class JobValidation:
     |----------|---------------------------------------------------------------------------------------------|
     | observed | expected harm per executed job, with the interval of a sum of independent estimates         |
     | by_step  | part of each step                                                                           |
+    | steps    | kind and object of each step                                                                |
+    | starts   | time at which each step starts [s]                                                          |
     | motions  | reports of all motions along which these faults can do harm                                 |
     | duration | duration of the whole job [s]                                                               |
     """
 
     observed: Estimate
     by_step: tuple[Estimate, ...]
+    steps: tuple[str, ...]
+    starts: tuple[float, ...]
     motions: tuple[ValidatedMotion, ...]
     duration: float
+
+    def __str__(self) -> str:
+        """Return the timeline: start, name and harm of each step, with a bar for its share of the harm."""
+        whole, width = self.observed.mean, max(map(len, self.steps))
+        shares = [step.mean / whole if whole > 0.0 else 0.0 for step in self.by_step]
+        lines = [
+            f"{start:6.1f} s  {name:{width}}  {'#' * round(_BAR * share):{_BAR}} {100.0 * share:3.0f} %  {step}"
+            for start, name, share, step in zip(self.starts, self.steps, shares, self.by_step, strict=True)
+        ]
+        return "\n".join([f"harm per executed job of {self.duration:.1f} s: {self.observed}", *lines])
 
 
 def validate_job(
@@ -102,7 +119,14 @@ def validate_job(
         ValidatedMotion(step=k, label=motion.label, report=report(motion, some)) for k, motion, some in exposed
     )
     by_step = tuple(_sum([one.report.observed_per_task for one in found if one.step == k]) for k in range(len(steps)))
-    return JobValidation(observed=_sum(by_step), by_step=by_step, motions=found, duration=result.duration)
+    return JobValidation(
+        observed=_sum(by_step),
+        by_step=by_step,
+        steps=tuple(f"{step.kind} {step.name}" for step in steps),
+        starts=tuple(sum((step.duration for step in steps[:k]), 0.0) for k in range(len(steps))),
+        motions=found,
+        duration=result.duration,
+    )
 
 
 def _sum(parts: Sequence[Estimate]) -> Estimate:

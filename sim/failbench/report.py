@@ -11,7 +11,7 @@ import numpy as np
 
 from failbench.basics.statistics import Estimate
 from failbench.recording.healthy import HealthyHarm
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan import documents
 from graceful_plan.array_types import Float
 
@@ -101,7 +101,7 @@ class ValidationReport:
     confidence: float
     greatest: float
     versions: Mapping[str, str]
-    jobs: tuple[Job, ...]
+    jobs: tuple[RolloutRequest, ...]
     impacts: Float[Array, " n"]
     wholes: Float[Array, " n"]
 

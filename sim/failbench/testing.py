@@ -23,7 +23,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from failbench.fault.fault import CATEGORIES, DEGREES, REACTION, SURROUNDINGS, Fault
 from failbench.fault.registry import faults, from_document, reactions, to_document
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.injection import Injection
 from failbench.simulated.moving_entities import set_entity_poses
@@ -167,7 +167,7 @@ class _Trials:
         mujoco.mj_setState(model, data, execution.states[execution.checkpoint(onset)], STATE)
         injection = Injection(
             execution,
-            Job(fault=fault, onset=onset, seed=_SEED),
+            RolloutRequest(fault=fault, onset=onset, seed=_SEED),
             _STEPS,
             fields={name: getattr(model, name) for name in fault.FIELDS},
             qpos=data.qpos,

@@ -26,7 +26,7 @@ from failbench.basics.statistics import (
 )
 from failbench.fault.fault import Fault
 from failbench.recording.healthy import HealthyHarm, whole_execution
-from failbench.recording.records import Job, Rollout
+from failbench.recording.records import Rollout, RolloutRequest
 from failbench.recording.score import (
     Touches,
     energy_impact,
@@ -39,7 +39,7 @@ from failbench.recording.score import (
 from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid, thread_count
+from failbench.rollouts.sampling import MOST, check_whole, make_requests, quantile_grid, thread_count
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
@@ -121,7 +121,7 @@ def validate(
         return predicted_impact(execution.trajectory, scene, times, cost)
 
     proposal = (lambda times: predict(times).sum(axis=1)) if importance else None
-    jobs = make_jobs(faults, execution.duration, n=n, seed=seed, predicted=proposal)
+    jobs = make_requests(faults, execution.duration, n=n, seed=seed, predicted=proposal)
     rollouts: list[Rollout] = []
     for first in range(0, len(jobs), _CHUNK):
         rollouts += run_rollouts(execution, jobs[first : first + _CHUNK], horizon=horizon, threads=cores)
@@ -198,7 +198,7 @@ class _Failures(NamedTuple):
     """The faults, their rollouts, and the prediction."""
 
     faults: Sequence[Fault]
-    jobs: tuple[Job, ...]
+    jobs: tuple[RolloutRequest, ...]
     rollouts: Sequence[Rollout]
     expected: _Expected
 

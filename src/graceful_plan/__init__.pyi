@@ -38,9 +38,11 @@ from graceful_plan.job.actions import Action as Action
 from graceful_plan.job.actions import Clear as Clear
 from graceful_plan.job.actions import CloseLid as CloseLid
 from graceful_plan.job.actions import Deed as Deed
+from graceful_plan.job.actions import Load as Load
 from graceful_plan.job.actions import Wait as Wait
 from graceful_plan.job.grasping import Grasp as Grasp
 from graceful_plan.job.grasping import grasps as grasps
+from graceful_plan.job.job_file import load_job as load_job
 from graceful_plan.job.job_planning import plan_job as plan_job
 from graceful_plan.job.jobs import Job as Job
 from graceful_plan.job.motions import Refusal as Refusal

@@ -9,14 +9,14 @@ from motions import Drop, Shake, execution
 
 import failbench
 import graceful_plan as gp
-from failbench import Job
+from failbench import RolloutRequest
 
 # --- speed ------------------------------------------------------------------------------------------------------------
 
 
 def test_the_plain_loop_does_the_same_rollouts():
     done = execution()
-    jobs = [Job(fault=fault, onset=0.5 * done.duration, seed=3) for fault in (Drop(), Shake(ramp=0.1))]
+    jobs = [RolloutRequest(fault=fault, onset=0.5 * done.duration, seed=3) for fault in (Drop(), Shake(ramp=0.1))]
     rollouts = failbench.run_rollouts(done, jobs, horizon=failbench_speed.HORIZON)
     for anew in (False, True):
         for rollout in rollouts:
@@ -26,7 +26,7 @@ def test_the_plain_loop_does_the_same_rollouts():
 
 def test_time_is_attributed_to_the_right_stage():
     done, timing = execution(), failbench_speed.Timing()
-    jobs = [Job(fault=Drop(), onset=0.2, seed=0)]
+    jobs = [RolloutRequest(fault=Drop(), onset=0.2, seed=0)]
     failbench_speed._time(timing, 1, lambda: failbench.run_rollouts(done, jobs, horizon=0.2))
     assert set(timing.parts) == {"simulation", "recorder"}
     assert 0.0 < timing.parts["recorder"] and 0.0 < timing.parts["simulation"]

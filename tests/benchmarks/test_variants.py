@@ -54,7 +54,7 @@ def test_objects_stay_at_rest(name: str) -> None:
     task = next(iter(variants.load(name).tasks.values()))
     scene, world = task.scene, fb.build_world(task.scene)
     execution = fb.execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
-    jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # a stuck gripper disturbs nothing
+    jobs = [fb.RolloutRequest(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # a stuck gripper disturbs nothing
     (rollout,) = fb.run_rollouts(execution, jobs)
     for entity, body in world.movable.items():
         home = scene.home_qpos[scene.model.jnt_qposadr[scene.model.body_jntadr[body]] :][:3]

@@ -34,8 +34,8 @@ ROOTED = re.compile(rf"(?<![\w./<-])(?:{ROOTS})/[\w./-]+\.(?:{ENDINGS})\b")
 """A file name relative to the root of the repository, anywhere in a text."""
 
 OTHERS = {
-    *("build/", "dist/", "site/", "graceful_plan_demo/", "prevented/", "constrained_runs/", "policy_runs/"),
-    *("libero_runs/", "libero_scenes/"),
+    *("build/", "dist/", "site/", "graceful_plan_demo/", "prevented/", "constrained_runs/"),
+    *("policy_runs/", "job_runs/", "libero_runs/", "libero_scenes/"),
     *("comparison/report.html", "comparison/journal.jsonl", "best_known.yaml", "via_point.py"),
     *("ompl_planning.yaml", "scene0001.yaml", "request0001.yaml"),
 }

@@ -7,6 +7,7 @@ from order_jobs import job_scene, ordered
 
 import failbench as fb
 import graceful_plan as gp
+from failbench.basics.statistics import Estimate
 from graceful_plan.exceptions import SettingError
 from graceful_plan.job.job_result import JobFailed
 
@@ -19,7 +20,23 @@ def test_the_careful_job_does_less_harm() -> None:
         assert one.observed.mean == pytest.approx(sum(part.mean for part in one.by_step))
         assert one.observed.low <= one.observed.mean <= one.observed.high
         assert {motion.label for motion in one.motions} == {"lift", "carry", "lower"}
+        assert len(one.steps) == len(one.starts) == len(one.by_step) and list(one.starts) == sorted(one.starts)
         assert one.duration > sum(motion.report.duration for motion in one.motions)
+
+
+def test_the_timeline_shows_the_share_of_each_step() -> None:
+    parts = (Estimate(1.0, 0.5, 2.0, 10), Estimate(3.0, 2.0, 5.0, 10))
+    one = fb.JobValidation(
+        observed=Estimate(4.0, 3.0, 6.0, 20),
+        by_step=parts,
+        steps=("pick vase", "place vase"),
+        starts=(0.0, 2.5),
+        motions=(),
+        duration=5.0,
+    )
+    _, pick, place = str(one).splitlines()
+    assert "0.0 s  pick vase" in pick and "2.5 s  place vase" in place
+    assert (pick.count("#"), place.count("#")) == (5, 15) and "25 %" in pick and "75 %" in place
 
 
 def test_unsolved_jobs_are_refused() -> None:

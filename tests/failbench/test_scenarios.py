@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import Job, build_world, execute, run_rollouts
+from failbench import RolloutRequest, build_world, execute, run_rollouts
 from failbench.fault.registry import CATEGORIES, DEGREES, faults
 from failbench.scenario import Scenario, read_file, scenarios
 from graceful_plan.exceptions import SceneError, UnknownNameError
@@ -113,7 +113,7 @@ def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
     task = gp.load_scene(scene_name).tasks[task_name]
     mine: list[Scenario] = list(scenarios(f"{scene_name}/{task_name}/*"))
     execution = execute(_begin(task), build_world(task.scene))
-    jobs = [Job(fault=s.fault, onset=0.5 * execution.duration, seed=i) for i, s in enumerate(mine)]
+    jobs = [RolloutRequest(fault=s.fault, onset=0.5 * execution.duration, seed=i) for i, s in enumerate(mine)]
     rollouts = run_rollouts(execution, jobs, horizon=0.03, batch=len(jobs))
     assert [rollout.job for rollout in rollouts] == jobs
     assert {rollout.status for rollout in rollouts} == {"completed"}

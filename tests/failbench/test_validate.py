@@ -13,7 +13,17 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import AtFraction, ContactEvent, Fault, HealthyHarm, Job, ObjectLost, Rollout, SimSettings, Uniform
+from failbench import (
+    AtFraction,
+    ContactEvent,
+    Fault,
+    HealthyHarm,
+    ObjectLost,
+    Rollout,
+    RolloutRequest,
+    SimSettings,
+    Uniform,
+)
 from failbench.comparison import compare, harm_ratio
 from failbench.fault.registry import GripperFailure, Noise, PowerLoss
 from failbench.report import ValidationReport
@@ -144,7 +154,10 @@ def event(entity: str, striker: str = "carried", secondary: bool = False) -> Con
 def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Return a function that replaces the simulation: hits are a function of the job."""
 
-    def replace(touched: Callable[[Job], tuple[ContactEvent, ...]], diverged: Callable[[Job], bool] | None = None):
+    def replace(
+        touched: Callable[[RolloutRequest], tuple[ContactEvent, ...]],
+        diverged: Callable[[RolloutRequest], bool] | None = None,
+    ):
         def run(execution, jobs, **_):
             return [
                 Rollout(
@@ -161,7 +174,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return replace
 
 
-def early(job: Job) -> bool:
+def early(job: RolloutRequest) -> bool:
     return job.onset < 0.25 * motion().duration
 
 

@@ -10,11 +10,11 @@ import pytest
 from order_jobs import job_scene, order_job, ordered
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.job.actions import Deed, Transport
+from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
+from graceful_plan.job.actions import Deed, Hauling, Loading, Transport
 from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobFailed, JobStatus
-from graceful_plan.job.job_state import JobState, pose_key
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key
 from graceful_plan.job.motions import Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
 
@@ -103,7 +103,7 @@ def test_the_lid_pays_from_some_weight_on() -> None:
 
 @pytest.mark.long
 def test_clearing_once_pays_from_some_count_on() -> None:
-    kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=60).unwrap()] for n in (1, 3)]
+    kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=24).unwrap()] for n in (1, 3)]
     assert "clear" not in kinds[0] and "clear" in kinds[1]
 
 
@@ -229,17 +229,30 @@ def test_states_with_equal_surroundings_have_equal_keys() -> None:
 
 @pytest.mark.long
 def test_the_arm_waits_until_a_person_has_passed() -> None:
-    person = gp.MovingEntity(
-        "person",
-        "adult",
-        size=[0.2, 0.2, 0.8],
-        t=[0.0, 6.0, 8.0],
-        position=[[0.9, 0.1, 0.8], [0.9, 0.1, 0.8], [4, 0, 0.8]],
-    )
-    scene = job_scene("order").with_moving(person)
-    job = gp.Job(scene).place("crate", at=[0.5, 0.48, 0.4]).allow(gp.Wait(max_seconds=8.0))
-    kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=30).unwrap()] for w in (0.0, 10.0)]
+    job = gp.Job(job_scene("person")).place("mug", at=[0.6, 0.3, 0.4]).allow(gp.Wait(max_seconds=8.0))
+    kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=8).unwrap()] for w in (0.0, 3.0)]
     assert kinds[0] == ["pick", "place"] and "wait" in kinds[1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("allowed", [(), (gp.Wait(max_seconds=8.0),)], ids=["no wait", "wait"])
+def test_other_objects_come_first_while_a_person_stands_at_a_goal(allowed: tuple[gp.Wait, ...]) -> None:
+    job = gp.Job(job_scene("person")).place("mug", at=[0.6, 0.3, 0.4])
+    job.place("crate", at=[0.4, 0.4, 0.4]).place("box", at=[0.4, 0.2, 0.4]).allow(*allowed)
+    careful = gp.plan_job(job, 1.0, grasps=1, iterations=16)
+    assert careful.order[-1] == "mug" and len(careful.steps) == 6
+    if not allowed:
+        assert gp.plan_job(job, 0.0, grasps=1, iterations=16).order[-1] != "mug"
+
+
+def test_nothing_waits_for_moving_entities_that_have_arrived() -> None:
+    scene = job_scene("person")
+    state, search = JobState(world=scene, q=scene.keyframes["ready"]), JobSession(order_job(), gp.Objective(), grasps=1)
+    wait, motions = gp.Wait(max_seconds=4.0), search.search().motions
+    assert list(wait.candidates(state, motions)) == [1.0, 2.0, 3.0, 4.0]
+    late, later = (state.after(state.q, seconds) for seconds in (8.0, 9.0))
+    assert not list(wait.candidates(late, motions))
+    assert late.key == later.key and late.key != state.key and late.scene() is later.scene()
 
 
 def test_a_lid_on_a_vessel_has_not_arrived_elsewhere() -> None:
@@ -248,3 +261,70 @@ def test_a_lid_on_a_vessel_has_not_arrived_elsewhere() -> None:
     goal = Transport("lid", (pose_key(state.pose("lid")),))
     assert goal.is_done(state)
     assert not goal.is_done(state.joined("kettle", "lid").knowing("joined", "lid"))
+
+
+# --- trays ------------------------------------------------------------------------------------------------------------
+
+
+def _on_tray(scene: gp.Scene) -> tuple[JobState, dict[str, PoseKey]]:
+    """Return the state with a glass in its slot on the tray, and the slots."""
+    state, slot = JobState(world=scene, q=scene.keyframes["ready"]), np.eye(4)
+    slot[:3, 3] = [0.0, 0.08, 0.012]
+    return state.moved("glass1", state.pose("tray") @ slot), {"glass1": pose_key(slot), "glass2": pose_key(slot)}
+
+
+def test_a_loaded_tray_is_as_precious_as_all_its_parts() -> None:
+    scene = job_scene("tray")
+    state, slots = _on_tray(scene)
+    assert state.on("tray", slots) == ("glass1",)
+    loaded = state.loaded("tray", slots)
+    hit = [scene.entities[name].severity["body"] for name in ("tray", "glass1")]
+    assert loaded.world.entities["tray"].severity["body"] == sum(hit) and "glass1" not in loaded.world.entities
+    grasp = gp.Grasp(X_TO=gp.FROM_ABOVE)
+    held = loaded.holding("tray", grasp)
+    lost = [state.holding(name, grasp).own_severity for name in ("tray", "glass1")]
+    assert held.own_severity == sum(lost) > max(lost)
+    mass = [scene.model.body_subtreemass[scene.model.body(name).id] for name in ("tray", "glass1")]
+    assert held.model.body_subtreemass[held.model.body("tray").id] == pytest.approx(sum(mass))
+
+
+def test_an_empty_tray_is_as_it_was() -> None:
+    scene = job_scene("tray")
+    state = JobState(world=scene, q=scene.keyframes["ready"])
+    assert state.loaded("tray", _on_tray(scene)[1]) is state
+
+
+def test_objects_with_contents_are_not_loaded() -> None:
+    job = gp.Job(job_scene("clear_once")).place("mug1", on="laptop").allow(gp.Load("laptop", on="table"))
+    with pytest.raises(UnsupportedError, match="contents"):
+        gp.plan_job(job, iterations=1)
+
+
+@pytest.mark.long
+def test_a_tray_takes_along_what_stands_on_it() -> None:
+    scene = job_scene("tray")
+    job = gp.Job(scene).place("tray", at=[0.48, 0.3, 0.4]).place("glass1", on="tray").allow(gp.Load("tray"))
+    found = gp.plan_job(job, 0.3, grasps=2, iterations=8)
+    result = found.why(order=["glass1", "tray"], iterations=8).other
+    assert result.order == ("glass1", "tray")
+    carry = next(piece for piece in result.steps[-1].pieces if piece.label == "carry")
+    assert {carry.scene.model.body(b).name for b in carry.scene.held_bodies} == {"tray", "glass1@joined"}
+    last = result.steps[-1].pieces[-1]
+    assert all(gp.verify(piece.trajectory, piece.scene).passed for step in result.steps for piece in step.pieces)
+    after = last.scene.data_at(last.trajectory.q[-1])
+    np.testing.assert_allclose(after.body("tray").xpos, [0.48, 0.3, 0.4])
+
+
+@pytest.mark.long
+def test_a_tray_is_unloaded_if_the_goal_needs_it() -> None:
+    scene = job_scene("tray")
+    far = gp.Load("tray", in_region=[[0.35, 0.15, 0.35], [0.7, 0.55, 0.45]], n=3)
+    job = gp.Job(scene).place("glass1", at=[0.36, 0.1, 0.4]).allow(far)
+    search = JobSession(job, gp.Objective(w=0.3), grasps=2).search()
+    node = Node(state=search.start)
+    for kind in (Loading, Hauling, Transport):
+        edges = (edge for edge in search.edges(node) if type(edge.action) is kind)
+        node = next(child for edge in edges if (child := search.child(edge)) is not None)
+    assert search.is_complete(node.state)
+    assert [deed.steps[-1][0] for deed in node.deeds] == ["load", "carry", "place"]
+    assert node.state.on("tray", {"glass1": pose_key(np.eye(4))}) == ()

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from motions import EVERY_DEGREE, execution
 
-from failbench import Fault, Job, SimSettings, rollout_steps
+from failbench import Fault, RolloutRequest, SimSettings, rollout_steps
 
 SETTINGS = SimSettings()
 WELD = SimSettings(grasp="weld")
@@ -38,7 +38,7 @@ class Record:
         done = healthy_run() if done is None else done
         robot, self.dt = done.world.robot, done.dt
         carried, tool = done.world.carried_body, done.world.model.site(done.world.scene.tool).id
-        self.job = Job(fault=fault, onset=when * done.duration, seed=seed)
+        self.job = RolloutRequest(fault=fault, onset=when * done.duration, seed=seed)
         self.robot, self.onset_step = robot, 5 * done.checkpoint(self.job.onset)
         rows = {name: [] for name in ("q", "qd", "force", "command", "tool", "object", "gain", "limit", "bias", "all")}
         for model, data in rollout_steps(done, self.job, horizon=horizon):

@@ -21,7 +21,7 @@ from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import Scene, StateBatch, Trajectory
 from graceful_plan.array_types import Bool, Float, Int
@@ -143,7 +143,7 @@ def simulate_failures(
     if scene.carried is None and all(fault.NAME == GripperFailure.NAME for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
     execution = _held(motion, scene, variation, seed)
-    jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
+    jobs = make_requests(faults, execution.duration, n=n, seed=seed)
     rollouts = run_rollouts(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
     # The state that a planner knows: the planned one, not the one that the servos reach.

@@ -21,7 +21,7 @@ from failbench.pictures.drawing import TouchPaint, add_geoms, outlined
 from failbench.pictures.film import font
 from failbench.pictures.offscreen import Offscreen, close_to
 from failbench.pictures.playback import film, healthy
-from failbench.recording.records import Job, Rollout
+from failbench.recording.records import Rollout, RolloutRequest
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
@@ -88,7 +88,7 @@ class Worst:
         text: Description.
     """
 
-    job: Job
+    job: RolloutRequest
     time: float
     place: Float[Array, " xyz"]
     text: str
@@ -124,7 +124,7 @@ def worst_of(execution: Execution, names: Sequence[str]) -> list[Worst]:
     known = faults()
     spacing = execution.duration / _MOMENTS
     jobs = [
-        Job(fault=known[name](degree=DEGREE), onset=(i + place * _GOLDEN % 1.0) * spacing, seed=i)
+        RolloutRequest(fault=known[name](degree=DEGREE), onset=(i + place * _GOLDEN % 1.0) * spacing, seed=i)
         for place, name in enumerate(names)
         for i in range(_MOMENTS)
     ]
@@ -149,7 +149,7 @@ def _worst(execution: Execution, rollouts: Sequence[Rollout]) -> Worst:
     )
 
 
-def _farthest(execution: Execution, job: Job) -> tuple[float, Worst]:
+def _farthest(execution: Execution, job: RolloutRequest) -> tuple[float, Worst]:
     """Return the greatest distance of the tool from its healthy position [m], and its description."""
     tool = execution.world.model.site(execution.world.scene.tool).id
     broken = [moment.data.site_xpos[tool].copy() for moment in film(execution, job, horizon=1.0, lead=0.0)]

@@ -22,7 +22,7 @@ from failbench.basics.errors import NoPicture
 from failbench.pictures.drawing import TouchPaint
 from failbench.pictures.film import captioned, check_output, write_film
 from failbench.pictures.offscreen import Offscreen, find_camera, has_display
-from failbench.recording.records import Job, Rollout
+from failbench.recording.records import Rollout, RolloutRequest
 from failbench.rollouts import single
 from failbench.rollouts.execution import Execution
 from failbench.simulated.moving_entities import EntityPoses, set_entity_poses
@@ -59,7 +59,7 @@ class Moment:
 
 def replay(
     execution: Execution,
-    rollout: Job | Rollout,
+    rollout: RolloutRequest | Rollout,
     *,
     output: str | Path | None = None,
     horizon: float = 1.0,
@@ -109,7 +109,7 @@ def replay(
         return write_film(_frames(execution, job, moments, fps * slow, offscreen, seen_from), output, fps)
 
 
-def film(execution: Execution, job: Job, *, horizon: float, lead: float) -> Iterator[Moment]:
+def film(execution: Execution, job: RolloutRequest, *, horizon: float, lead: float) -> Iterator[Moment]:
     """Yield each step of a rollout, from `lead` [s] before the onset to `horizon` [s] after it."""
     onset = execution.checkpoint(job.onset)
     first = max(0, onset - math.ceil(lead / (CHECKPOINT * execution.dt) - 1e-9))
@@ -144,7 +144,7 @@ def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple
         yield model, data
 
 
-def struck_parts(execution: Execution, job: Job) -> str:
+def struck_parts(execution: Execution, job: RolloutRequest) -> str:
     """Describe the parts that a job's fault strikes."""
     robot = execution.world.robot
     rng = np.random.default_rng(job.seed)  # the same draw as the injection's
@@ -154,8 +154,8 @@ def struck_parts(execution: Execution, job: Job) -> str:
     return ", ".join([robot.joints[j].rpartition("/")[2] for j in joints] + ["gripper"] * gripper)
 
 
-def _job(execution: Execution, rollout: Job | Rollout) -> Job:
-    if isinstance(rollout, Job):
+def _job(execution: Execution, rollout: RolloutRequest | Rollout) -> RolloutRequest:
+    if isinstance(rollout, RolloutRequest):
         job = rollout
     else:
         job = rollout.job
@@ -190,7 +190,7 @@ def _sampled(touches: TouchPaint, moments: Iterator[Moment], rate: float) -> Ite
 
 def _frames(
     execution: Execution,
-    job: Job,
+    job: RolloutRequest,
     moments: Iterator[Moment],
     rate: float,
     offscreen: Offscreen,
@@ -216,7 +216,14 @@ def _listed(names: list[str]) -> str:
 
 
 def _play(
-    execution: Execution, job: Job, camera: mujoco.MjvCamera, *, horizon: float, lead: float, rate: float, slow: float
+    execution: Execution,
+    job: RolloutRequest,
+    camera: mujoco.MjvCamera,
+    *,
+    horizon: float,
+    lead: float,
+    rate: float,
+    slow: float,
 ) -> None:
     """Open MuJoCo's viewer and play the failure in it until the window is closed."""
     if not has_display():

@@ -14,7 +14,7 @@ from failbench.fault.fault import SURROUNDINGS
 from failbench.policies.episode import Camera, Episode, Live
 from failbench.policies.servoing import Servoing
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.simulated.rest import let_sleep
 from failbench.simulated.states import control_spec, put, warnings_counted_only
 from graceful_plan.exceptions import SettingError
@@ -52,7 +52,7 @@ class EpisodeBatch:
         self._room = {name: np.empty(most * size) for name, size in self._sizes.items()}
         self.episodes: list[Episode | None] = [None] * count
 
-    def begin(self, sim: int, rng: np.random.Generator, job: Job | None = None) -> Episode:
+    def begin(self, sim: int, rng: np.random.Generator, job: RolloutRequest | None = None) -> Episode:
         """Begin a new episode in a simulation.
 
         Args:

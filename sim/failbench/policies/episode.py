@@ -16,7 +16,7 @@ from failbench.policies.sensing import Reading, Sensing
 from failbench.policies.servoing import Servoing, Straightness
 from failbench.policies.task import PolicyTask, tool_pose
 from failbench.recording.recorder import Recorder
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.injection import NEVER, Injection
 from failbench.simulated.rest import PERIOD
 from failbench.simulated.states import CHECKPOINT, STATE
@@ -115,7 +115,7 @@ class Episode:
     """
 
     def __init__(
-        self, task: PolicyTask, servoing: Servoing, job: Job | None, live: Live, camera: Camera | None
+        self, task: PolicyTask, servoing: Servoing, job: RolloutRequest | None, live: Live, camera: Camera | None
     ) -> None:
         self.task, self.job, self.step = task, job, 0
         self._servoing, self._live, self._camera = servoing, live, camera

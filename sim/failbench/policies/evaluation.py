@@ -16,7 +16,7 @@ from failbench.policies.recovery import Recovery, recovering
 from failbench.policies.report import PolicyFigures, PolicyReport
 from failbench.policies.rollouts import PolicyRollout, roll_out
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.recording.score import greatest_touch
 from failbench.report import FAILURES_PER_HOUR
 from failbench.rollouts.sampling import MOST, Draws, check_whole, draw, thread_count
@@ -127,7 +127,7 @@ class _Work(NamedTuple):
     delay: float
     watch: Watch | None
 
-    def episodes(self, seeds: Sequence[int], jobs: Sequence[Job] | None) -> list[PolicyRollout]:
+    def episodes(self, seeds: Sequence[int], jobs: Sequence[RolloutRequest] | None) -> list[PolicyRollout]:
         """Run episodes; with faults, the recovery takes over after the detection delay."""
         if self.recovery is not None and self.watch is not None:
             factory = monitored(self.factory, self.recovery, self.watch)
@@ -143,9 +143,9 @@ class _Work(NamedTuple):
         return roll_out(self.task, make, seeds, jobs, threads=self.threads)
 
 
-def _job(fault: Fault, draws: Draws, k: int, last: float) -> Job:
+def _job(fault: Fault, draws: Draws, k: int, last: float) -> RolloutRequest:
     """Return the k-th episode's job; `last` is the duration of the episode without a fault [s]."""
-    return Job(fault=fault, onset=fault.when.onset(float(draws.quantile[k]), last), seed=int(draws.seed[k]))
+    return RolloutRequest(fault=fault, onset=fault.when.onset(float(draws.quantile[k]), last), seed=int(draws.seed[k]))
 
 
 def _label(fault: Fault, taken: dict[str, list[PolicyRollout]]) -> str:

@@ -14,7 +14,7 @@ from failbench.policies.cameras import PolicyCameras
 from failbench.policies.episode import Camera, Episode
 from failbench.policies.policy import Policy, PolicyFactory, action_kind
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import ContactEvent, Job
+from failbench.recording.records import ContactEvent, RolloutRequest
 from failbench.recording.score import observed_impact
 from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
 from graceful_plan import Notice, Scene
@@ -45,7 +45,7 @@ class PolicyRollout:
     """
 
     seed: int
-    job: Job | None
+    job: RolloutRequest | None
     onset: float | None
     status: str
     reached: float | None
@@ -73,7 +73,7 @@ def roll_out(
     task: PolicyTask,
     factory: PolicyFactory,
     seeds: Sequence[int],
-    jobs: Sequence[Job | None] | None = None,
+    jobs: Sequence[RolloutRequest | None] | None = None,
     *,
     threads: int = 1,
     batch: int = 16,
@@ -92,7 +92,7 @@ def roll_out(
         PolicyError: If an action has the wrong shape, or is not finite.
         SettingError: If the numbers of jobs and seeds differ.
     """
-    wanted: Sequence[Job | None] = [None] * len(seeds) if jobs is None else jobs
+    wanted: Sequence[RolloutRequest | None] = [None] * len(seeds) if jobs is None else jobs
     if len(wanted) != len(seeds):
         raise SettingError("jobs", len(wanted), f"a job for each of the {len(seeds)} seeds")
     check_whole("threads", threads, 1, MOST_THREADS)
@@ -130,7 +130,7 @@ class _Runner:
     def free(self) -> list[int]:
         return [sim for sim in range(self._count) if sim not in self.running]
 
-    def begin(self, sim: int, number: int, seed: int, job: Job | None) -> None:
+    def begin(self, sim: int, number: int, seed: int, job: RolloutRequest | None) -> None:
         self._batch.begin(sim, np.random.default_rng([seed, 0]), job)
         self.running[sim] = number, seed, self._factory(self._task, seed)
 

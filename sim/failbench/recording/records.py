@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class RolloutRequest:
     """Specification of one rollout: a fault at a time of a trajectory.
 
     Args:
@@ -90,7 +90,7 @@ class Rollout:
         state: MuJoCo's integration state at the last checkpoint before divergence, for replay; None if completed.
     """
 
-    job: Job
+    job: RolloutRequest
     onset: float
     status: str = "completed"
     events: tuple[ContactEvent, ...] = ()

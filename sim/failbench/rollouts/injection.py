@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from failbench.fault.drives import close_brakes
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.driven import TICK, WheelPlan
 from failbench.simulated.simulation import Simulation
 from failbench.simulated.states import CHECKPOINT
@@ -96,7 +96,7 @@ class Injection:
     def __init__(
         self,
         execution: Commanded,
-        job: Job,
+        job: RolloutRequest,
         steps: int,
         *,
         fields: Mapping[str, Array],

@@ -15,7 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from failbench.recording.recorder import Recorder
-from failbench.recording.records import Job, Rollout
+from failbench.recording.records import Rollout, RolloutRequest
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
 from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
@@ -31,7 +31,7 @@ _COUNT = 1
 
 
 def run_rollouts(
-    execution: Execution, jobs: Sequence[Job], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
+    execution: Execution, jobs: Sequence[RolloutRequest], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
 ) -> list[Rollout]:
     """Simulate one rollout for each job.
 
@@ -74,7 +74,7 @@ def run_rollouts(
     return [rollouts[i] for i in range(len(jobs))]
 
 
-def _by_period(jobs: Sequence[Job]) -> list[list[int]]:
+def _by_period(jobs: Sequence[RolloutRequest]) -> list[list[int]]:
     """Group jobs whose faults act in the same steps; those that act most often take longest and come first."""
     found: dict[float, list[int]] = {}
     for i in sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.NAME, i)):
@@ -102,7 +102,7 @@ def _run_group(
     execution: Execution,
     simulations: Batch,
     fields: Mapping[str, Array],
-    jobs: Sequence[Job],
+    jobs: Sequence[RolloutRequest],
     steps: int,
 ) -> list[Rollout]:
     model = execution.world.model

@@ -14,7 +14,7 @@ import numpy as np
 
 from failbench.basics.onset import Onset
 from failbench.fault.fault import Fault
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_whole
@@ -50,9 +50,9 @@ def draw(seed: int, n: int) -> Draws:
     return Draws((np.arange(n) + rng.random(n)) / n, rng.integers(_SEEDS, size=n))
 
 
-def make_jobs(
+def make_requests(
     faults: Sequence[Fault], duration: float, *, n: int, seed: int = 0, predicted: Prediction | None = None
-) -> tuple[Job, ...]:
+) -> tuple[RolloutRequest, ...]:
     """Distribute rollouts over faults, evenly along a trajectory.
 
     Consecutive strata of onsets go to the faults in random order. Each fault therefore covers the whole trajectory, and
@@ -78,7 +78,7 @@ def make_jobs(
     for which, u, number in zip(order.ravel(), draws.quantile, draws.seed, strict=True):
         fault = faults[which]
         v, weight = proposals[fault.when].place(float(u))
-        jobs.append(Job(fault=fault, onset=fault.when.onset(v, duration), seed=int(number), weight=weight))
+        jobs.append(RolloutRequest(fault=fault, onset=fault.when.onset(v, duration), seed=int(number), weight=weight))
     return tuple(jobs)
 
 

@@ -6,7 +6,7 @@ import copy
 
 import mujoco
 
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
 from failbench.simulated.moving_entities import set_entity_poses
@@ -21,7 +21,7 @@ class Steps:
     state before the step.
     """
 
-    def __init__(self, execution: Execution, job: Job, count: int) -> None:
+    def __init__(self, execution: Execution, job: RolloutRequest, count: int) -> None:
         self._world = execution.world
         self._model, self._count, self._step = copy.copy(execution.world.model), count, 0
         self._data = mujoco.MjData(self._model)
@@ -71,6 +71,6 @@ class Steps:
         self._injection.restore(self._step)
 
 
-def rollout_steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Steps:
+def rollout_steps(execution: Execution, job: RolloutRequest, *, horizon: float = 1.0) -> Steps:
     """Return the rollout that `rollout.run` would simulate, bit-identical, as an iterator over its steps."""
     return Steps(execution, job, execution.steps(horizon))

@@ -8,10 +8,10 @@ from functools import lru_cache
 
 from failbench.basics.chunks import Chunk, Rows
 from failbench.fault.registry import Fault
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.surroundings.registry import Disturbance, scene_with_intruder
 from failbench.sweeps.definition import Sweep, fault_of, scene_of
@@ -47,7 +47,7 @@ def execution_of(sweep: Sweep, motion: int) -> Execution:
     return _execution(what.scene, what.task, settings, what.trajectory.to_json(), comers)
 
 
-def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
+def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[RolloutRequest, ...]:
     """Return the jobs of all rollouts of a fault on a motion."""
     document = json.dumps(dict(sweep.faults[fault]), sort_keys=True)
     return _jobs(document, execution_of(sweep, motion).duration, sweep.rollouts, sweep.seed)
@@ -55,8 +55,8 @@ def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
 
 # Cached for all rollouts of a fault on a motion: with a million of them, making the jobs takes longer than a chunk.
 @lru_cache(maxsize=1)
-def _jobs(fault: str, duration: float, rollouts: int, seed: int) -> tuple[Job, ...]:
-    return make_jobs([fault_of(json.loads(fault))], duration, n=rollouts, seed=seed)
+def _jobs(fault: str, duration: float, rollouts: int, seed: int) -> tuple[RolloutRequest, ...]:
+    return make_requests([fault_of(json.loads(fault))], duration, n=rollouts, seed=seed)
 
 
 # Cached by value, since a worker may get a new copy of the sweep with every chunk. Consecutive chunks share a motion,

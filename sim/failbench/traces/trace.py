@@ -17,7 +17,7 @@ import numpy as np
 
 from failbench.pictures.offscreen import Offscreen, find_camera
 from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.sampling import check_whole
 from failbench.rollouts.single import rollout_steps
@@ -59,7 +59,9 @@ class Sampling:
             raise SettingError("camera", self.camera, "the name of a camera")
 
 
-def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sampling | None = None) -> Iterator[Rows]:
+def trace(
+    execution: Execution, job: RolloutRequest, *, horizon: float = 1.0, sampling: Sampling | None = None
+) -> Iterator[Rows]:
     """Simulate a rollout and yield the rows of each sampled step, without the column `rollout`.
 
     Args:

@@ -7,8 +7,8 @@ to `Job.allow`. Preconditions are checked in `candidates`; effects are the state
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.job.grasping import Grasp
-from graceful_plan.job.job_state import JobState, PoseKey, pose_key
+from graceful_plan.job.job_state import SAME, JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal
 from graceful_plan.path import is_real
 
@@ -75,32 +75,46 @@ class Carry:
 @final
 @dataclass(frozen=True, eq=False)
 class Transport(Action):
-    """Carry an object from where it stands to a given pose, or to any of several.
+    """Carry an object from where it stands to a given pose, or to any of several, with the objects in its slots.
 
     Args:
         name: The object.
         to: Poses to choose from.
-        verb: Name of the second step: "place", "clear" or "close_lid".
+        verb: Name of the second step: "place", "clear", "close_lid", "load" or "carry".
+        onto: Body to which the poses are relative, and which may move during the job; None for poses in W.
+        slots: Pose of each object that may stand on this one and is carried with it, relative to it.
     """
 
     name: str
     to: tuple[PoseKey, ...]
     verb: str = "place"
+    onto: str | None = None
+    slots: Mapping[str, PoseKey] = field(default_factory=dict)
+
+    def poses(self, state: JobState) -> tuple[PoseKey, ...]:
+        """Return the poses in W."""
+        if self.onto is None:
+            return self.to
+        X_WB = state.pose(self.onto)
+        return tuple(pose_key(X_WB @ pose_of(X)) for X in self.to)
 
     def is_done(self, state: JobState) -> bool:
         """Tell whether the object stands at any of the poses."""
-        return ("joined", self.name) not in state.facts and pose_key(state.pose(self.name)) in self.to
+        if ("joined", self.name) in state.facts:
+            return False
+        here = state.pose(self.name)
+        return any(np.allclose(here, pose_of(X), atol=SAME) for X in self.poses(state))
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Carry]:
         """Yield grasps that reach the object where it is and at any of the poses."""
         if ("joined", self.name) in state.facts or self.is_done(state):
             return
-        here = pose_key(state.pose(self.name))
-        for grasp in motions.grasps(state, self.name):
-            if motions.configuration(state, self.name, grasp, here) is None:
+        now, here = state.loaded(self.name, self.slots), pose_key(state.pose(self.name))
+        for grasp in motions.grasps(now, self.name):
+            if motions.configuration(now, self.name, grasp, here) is None:
                 continue
-            for X in self.to:
-                if X != here and motions.configuration(state, self.name, grasp, X) is not None:
+            for X in self.poses(state):
+                if X != here and motions.configuration(now, self.name, grasp, X) is not None:
                     yield Carry(grasp, X)
 
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
@@ -111,23 +125,27 @@ class Transport(Action):
     def ends(self, state: JobState, choice: Hashable, motions: Motions) -> tuple[Array, Array]:
         """Return the configurations that hold the object where it is and at its place."""
         assert isinstance(choice, Carry)
-        here = pose_key(state.pose(self.name))
-        both = [motions.configuration(state, self.name, choice.grasp, X) for X in (here, choice.to)]
+        now, here = state.loaded(self.name, self.slots), pose_key(state.pose(self.name))
+        both = [motions.configuration(now, self.name, choice.grasp, X) for X in (here, choice.to)]
         assert both[0] is not None and both[1] is not None
         return both[0], both[1]
 
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Pick the object up, carry it, put it down."""
         assert isinstance(choice, Carry)
-        found = motions.carried(state, self.name, choice.grasp, choice.to)
+        found = motions.carried(state.loaded(self.name, self.slots), self.name, choice.grasp, choice.to)
         if isinstance(found, Refusal):
             return found
         before, after, then = found
-        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=then)
+        arrived, X_WT = state.moved(self.name, pose_of(choice.to)), pose_of(choice.to)
+        for rider in state.on(self.name, self.slots):
+            arrived = arrived.moved(rider, X_WT @ pose_of(self.slots[rider]))
+        arrived = arrived.after(then.q, then.clock - state.clock)
+        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=arrived)
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Clear:
     """Allow to put an object elsewhere: out of the way of others, or for another grasp. For `Job.allow`.
 
@@ -158,6 +176,86 @@ class CloseLid:
     vessel: str
     lid: str
     X_VL: ArrayLike | None = None
+
+
+@final
+@dataclass(frozen=True)
+class Load:
+    """Allow to put goal objects on a tray, and to carry the tray with them. For `Job.allow`.
+
+    Only objects without contents are put on it: a spill from a tray is not modelled.
+
+    Args:
+        name: The tray: an object with a horizontal top, and a handle or rim by which the gripper holds it.
+        on: Body on which it may be put down; not needed if the tray has a goal of its own.
+        in_region: Region as in `placements`, instead of all of the body.
+        n: Number of placements to choose from.
+    """
+
+    name: str
+    on: str | None = None
+    in_region: ArrayLike | None = None
+    n: int = 4
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Loading(Action):
+    """Put an object on a tray, unless it has arrived at its goal or the tray has been carried already."""
+
+    name: str
+    tray: str
+    slot: PoseKey
+    start: PoseKey
+    """Pose of the tray before it is carried."""
+    goals: Sequence[Transport]
+
+    @property
+    def _transport(self) -> Transport:
+        return Transport(self.name, (self.slot,), "load", self.tray)
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield grasps."""
+        arrived = any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
+        if not arrived and pose_key(state.pose(self.tray)) == self.start:
+            yield from self._transport.candidates(state, motions)
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the bound of carrying the object."""
+        return self._transport.bound(state, choice, motions)
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Carry the object."""
+        return self._transport.motion(state, choice, motions)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Hauling(Action):
+    """Carry a tray with something on it, once."""
+
+    name: str
+    to: tuple[PoseKey, ...]
+    slots: Mapping[str, PoseKey]
+    start: PoseKey
+    """Pose of the tray before it is carried."""
+
+    @property
+    def _transport(self) -> Transport:
+        return Transport(self.name, self.to, "carry", slots=self.slots)
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield grasps and placements."""
+        if pose_key(state.pose(self.name)) == self.start and state.on(self.name, self.slots):
+            yield from self._transport.candidates(state, motions)
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the bound of carrying the tray."""
+        return self._transport.bound(state, choice, motions)
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Carry the tray."""
+        return self._transport.motion(state, choice, motions)
 
 
 @final
@@ -230,9 +328,12 @@ class Wait(Action):
 
     Args:
         max_seconds: Longest wait at a time [s].
+        price: Cost of a second of waiting [1/s], which counts as motion cost. The default is a tenth of the motion cost
+            of an arm at about 2 rad/s.
     """
 
     max_seconds: float
+    price: float = 0.2
     name: str = "wait"
     STEPS: ClassVar[int] = 4
     """Number of waits to choose from, evenly spaced."""
@@ -240,15 +341,24 @@ class Wait(Action):
     def __post_init__(self) -> None:
         if not (is_real(self.max_seconds) and 0.0 < self.max_seconds < np.inf):
             raise SettingError("max_seconds", self.max_seconds, "a finite number above 0 [s]")
+        if not (is_real(self.price) and 0.0 <= self.price < np.inf):
+            raise SettingError("price", self.price, "a finite number of at least 0 [1/s]")
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[float]:
-        """Yield durations, if there are moving entities and the last action was no wait."""
-        if state.world.moving and ("waited", str(state.clock)) not in state.facts:
+        """Yield durations, if an entity still moves and the last action was no wait."""
+        if state.is_moving and ("waited", str(state.clock)) not in state.facts:
             yield from (self.max_seconds * (k + 1) / self.STEPS for k in range(self.STEPS))
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the price of the wait."""
+        assert isinstance(choice, float)
+        return self.price * choice
 
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Stay at rest."""
         assert isinstance(choice, float)
         piece = motions.still("wait", state.scene(), state.q, choice)
+        cost = replace(piece.cost, motion=piece.cost.motion + self.price * choice)
+        piece = replace(piece, cost=cost)
         then = state.after(state.q, choice)
         return Deed(steps=[("wait", self.name, [piece])], state=then.knowing("waited", str(then.clock)))

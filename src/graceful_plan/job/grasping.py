@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 
 import mujoco
 import numpy as np
@@ -106,26 +107,27 @@ def grasps(scene: Scene, name: str, *, n: int = 16, seed: int = 0) -> tuple[Gras
     """
     if not (is_real(n) and n >= 1):
         raise SettingError("n", n, "at least 1")
+    return tuple(islice(sampled_grasps(scene, name, seed=seed), int(n)))
+
+
+def sampled_grasps(scene: Scene, name: str, *, seed: int = 0) -> Iterator[Grasp]:
+    """Yield grasps one after the other; see `grasps`."""
     rng = checked_seed(seed)
     note = held_note(scene.model, scene.notes, scene.robot_bodies, name, X_TO=np.eye(4))
     thing = _Thing(scene, note.body)
-    found = [] if (own := declared_grasp(scene, name)) is None else [own]
+    if (own := declared_grasp(scene, name)) is not None:
+        yield own
     gripper = find_gripper(scene)
     if gripper.has_fixed_pad:
         raise UnsupportedError(
             f"a pad of {scene.name!r} is fixed, and grasps are sampled for two that move: give a list"
         )
     for candidate in _in_turns(_contacts(thing, gripper, rng), thing, gripper):
-        if len(found) >= n:
-            break
         fingers = gripper.fingers(candidate.width)
         quality = _load_left(scene.attach(name, X_TO=candidate.X_TO, fingers=fingers), thing.up)
         if quality >= 1.0 - _HOLDS:
             opening, approach = candidate.opening, candidate.approach
-            found.append(
-                Grasp(X_TO=candidate.X_TO, fingers=fingers, opening=opening, approach=approach, quality=quality)
-            )
-    return tuple(found)
+            yield Grasp(X_TO=candidate.X_TO, fingers=fingers, opening=opening, approach=approach, quality=quality)
 
 
 def declared_grasp(scene: Scene, name: str) -> Grasp | None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import Objective
-from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.job.actions import Action, Clear, Clearing, CloseLid, Closing, Transport
+from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
+from graceful_plan.job.actions import Action, Clear, Clearing, CloseLid, Closing, Hauling, Load, Loading, Transport
 from graceful_plan.job.job_result import JobResult, JobStatus, Step
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.jobs import Job, Where
@@ -39,6 +39,8 @@ _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
 _CONTENDERS, _CONTENDERS_COST = 3, 1.5
 """Largest number of sequences whose motions are improved, and of their cost relative to that of the best."""
+_SLOTS = 16
+"""Placements on a tray from which that of each object is chosen."""
 _TOO_SHORT = 0.05
 """Time below which nothing is improved [s]."""
 DEFAULT_TIME_LIMIT = 20.0
@@ -129,10 +131,12 @@ class JobSession:
         motions = search.motions
         limited = np.isfinite(budget.time_limit)
         motions.limited, motions.cancelled = limited and iterations is None, budget.cancelled
+        motions.hurried = True
         motions.left = lambda: budget.time_limit - budget.elapsed
         trace: list[TracePoint] = []
 
         def improved(node: Node) -> None:
+            motions.hurried = False
             cost = _cost(node, self._objective.w)
             trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
 
@@ -178,19 +182,36 @@ class JobSession:
         job, scene = self._job, self._job.scene
         movable = {*job.goals}
         for action in job.allowed:
-            movable |= {action.name} if isinstance(action, Clear) else set()
+            movable |= {action.name} if isinstance(action, Clear | Load) else set()
             movable |= {action.lid, action.vessel} if isinstance(action, CloseLid) else set()
         names = tuple(sorted(movable))
         empty = self._state.parked(names)
         supports = {name: {support} if (support := support_of(scene, name)) else set() for name in names}
+        slots = {action.name: self._slots(action.name) for action in job.allowed if isinstance(action, Load)}
         goals = []
         for name, goal in job.goals.items():
+            if goal.on in slots:
+                slot = slots[goal.on].get(name)
+                supports[name] |= {goal.on}
+                goals.append(Transport(name, () if slot is None else (slot,), onto=goal.on))
+                continue
             to = self._places(name, goal, empty)
             supports[name] |= self._under(name, to)
-            goals.append(Transport(name, to))
+            goals.append(Transport(name, to, slots=slots.get(name, {})))
         actions: list[Action] = list(goals)
         for action in job.allowed:
-            if isinstance(action, Clear):
+            if isinstance(action, Load):
+                start = pose_key(self._state.pose(action.name))
+                for name, slot in slots[action.name].items():
+                    supports[name] |= {action.name}
+                    if job.goals[name].on != action.name:
+                        actions.append(Loading(name, action.name, slot, start, goals))
+                if action.name not in job.goals:
+                    where = Where(on=action.on, in_region=action.in_region, n=action.n)
+                    to = self._places(action.name, where, empty)
+                    supports[action.name] |= self._under(action.name, to)
+                    actions.append(Hauling(action.name, to, slots[action.name], start))
+            elif isinstance(action, Clear):
                 on = action.on or (support_of(scene, action.name) if action.in_region is None else None)
                 where = Where(on=on, in_region=action.in_region, n=action.n)
                 to = self._places(action.name, where, empty)
@@ -216,6 +237,27 @@ class JobSession:
             seed=self._seed,
         )
         return _Choices(goals=goals, actions=tuple(actions), motions=motions)
+
+    def _slots(self, tray: str) -> dict[str, PoseKey]:
+        """Return a pose of each goal object on a tray, relative to it, far from the middle and from each other."""
+        job, state, found = self._job, self._state, {}
+        X_TW = np.linalg.inv(state.pose(tray))
+        taken = [state.pose(tray)[:3, 3]]
+        for name, goal in job.goals.items():
+            note = job.scene.notes.objects.get(name)
+            has_contents = note is not None and note.contents is not None
+            if name == tray or has_contents:
+                if has_contents and goal.on == tray:
+                    raise UnsupportedError(f"{name!r} has contents, whose spill from the tray {tray!r} is not modelled")
+                continue
+            choices = placements(state.scene(), name, on=tray, n=_SLOTS, seed=self._seed)
+            if len(choices):
+                apart = np.linalg.norm(choices[:, None, :2, 3] - np.array(taken)[None, :, :2], axis=-1).min(axis=1)
+                X_WO = choices[int(np.argmax(apart))]
+                found[name] = pose_key(X_TW @ X_WO)
+                taken.append(X_WO[:3, 3])
+                state = state.moved(name, X_WO)
+        return found
 
     def _places(self, name: str, where: Where, empty: JobState) -> tuple[PoseKey, ...]:
         if where.at is not None:

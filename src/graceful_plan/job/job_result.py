@@ -30,7 +30,9 @@ class JobFailed(GracefulPlanError, RuntimeError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """A step of a job: "pick", "place", "clear", "close_lid", "wait" or that of an own action.
+    """A step of a job.
+
+    Its kind is "pick", "place", "clear", "close_lid", "load", "carry" (a tray), "wait" or that of an own action.
 
     | field  | meaning                                                   |
     |--------|-----------------------------------------------------------|
@@ -87,7 +89,7 @@ class JobResult:
     @property
     def duration(self) -> float:
         """Time that the whole job takes [s]."""
-        return sum(step.duration for step in self.steps)
+        return sum((step.duration for step in self.steps), 0.0)
 
     def unwrap(self) -> tuple[Step, ...]:
         """Return the steps of a solved job.

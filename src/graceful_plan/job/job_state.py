@@ -20,7 +20,9 @@ from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
+from graceful_plan.scene.harm.severity import ITSELF
 from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -29,6 +31,8 @@ PoseKey = tuple[float, ...]
 
 _FAR = 100.0
 """Distance to which bodies are moved that shall not be in the way [m]."""
+SAME = 1e-6
+"""Largest difference in an element of two poses that are the same."""
 _KEPT = 512
 """Arranged scenes that are cached per scene."""
 
@@ -64,8 +68,17 @@ class JobState:
     @cached_property
     def surroundings(self) -> tuple[object, ...]:
         """Key of everything but the arm: equal keys mean equal surroundings."""
-        time = (self.clock,) if self.world.moving else ()
-        return id(self.world), tuple(sorted(self.where.items())), self.facts, time
+        return id(self.world), tuple(sorted(self.where.items())), self.facts, self.moved_for
+
+    @property
+    def moved_for(self) -> float:
+        """Time for which moving entities have moved [s], at most until the last of them stops."""
+        return min(self.clock, max((float(entity.t[-1]) for entity in self.world.moving.values()), default=0.0))
+
+    @property
+    def is_moving(self) -> bool:
+        """Tell whether a moving entity has not arrived yet."""
+        return any(self.clock < entity.t[-1] for entity in self.world.moving.values())
 
     @cached_property
     def key(self) -> tuple[object, ...]:
@@ -86,9 +99,7 @@ class JobState:
         return self._now(_arranged(self.world, others, (name, grasp, support), None))
 
     def _now(self, scene: Scene) -> Scene:
-        if not scene.moving or not self.clock:
-            return scene
-        return scene.with_moving(*(entity.later(-self.clock) for entity in scene.moving.values()))
+        return _later(scene, self.moved_for) if self.moved_for else scene
 
     def moved(self, name: str, X_WO: Float[Array, "4 4"]) -> JobState:
         """Return the state with a body elsewhere."""
@@ -121,10 +132,37 @@ class JobState:
         where = {body: X for body, X in self.where.items() if body != name}
         return replace(self, world=_joined(self.world, onto, name, pose_key(X_VL)), where=MappingProxyType(where))
 
+    def on(self, tray: str, slots: Mapping[str, PoseKey]) -> tuple[str, ...]:
+        """Return which objects stand in their slots, poses relative to a tray."""
+        X_TW = np.linalg.inv(self.pose(tray))
+        return tuple(
+            name
+            for name, slot in sorted(slots.items())
+            if np.allclose(X_TW @ self.pose(name), pose_of(slot), atol=SAME)
+        )
+
+    def loaded(self, tray: str, slots: Mapping[str, PoseKey]) -> JobState:
+        """Return the state in which a tray and the objects in their slots are one thing, for a motion of the tray."""
+        riders = self.on(tray, slots)
+        if not riders:
+            return self
+        where = {body: X for body, X in self.where.items() if body not in riders}
+        return replace(
+            self,
+            world=_loaded(self.world, tray, tuple((name, slots[name]) for name in riders)),
+            where=MappingProxyType(where),
+            facts=self.facts | {("joined", name) for name in riders},
+        )
+
     def emptied(self, name: str) -> JobState:
         """Return the state in which nothing can leave an object: it is closed or empty."""
         note = self.world.notes.objects.get(name)
         return self if note is None or note.contents is None else replace(self, world=_emptied(self.world, name))
+
+
+@per_scene(most=_KEPT)
+def _later(scene: Scene, seconds: float) -> Scene:
+    return scene.with_moving(*(entity.later(-seconds) for entity in scene.moving.values()))
 
 
 def _shifted(X: Float[Array, "4 4"], x: float) -> Float[Array, "4 4"]:
@@ -198,6 +236,23 @@ def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
     # The keyframes are those of the notes; a spec of other bodies has none any more.
     notes = replace(notes, entities=entities, objects=objects, overrides=overrides, state=state)
     return Scene.build(spec, notes)
+
+
+@per_scene
+def _loaded(world: Scene, tray: str, riders: tuple[tuple[str, PoseKey], ...]) -> Scene:
+    """Return the scene in which objects are parts of a tray, which is as precious as all of them together."""
+    parts = (tray, *(name for name, _ in riders))
+    hit = sum(world.entities[name].severity["body"] for name in parts if name in world.entities)
+    lost = sum(world.attach(name, X_TO=FROM_ABOVE).own_severity for name in parts)
+    scene = world
+    for name, slot in riders:
+        scene = _joined(scene, tray, name, slot)
+    carried = scene.attach(tray, X_TO=FROM_ABOVE).carried
+    assert carried is not None and carried.object_class is not None
+    overrides = {**scene.notes.overrides, ITSELF: {carried.object_class: lost}}
+    if tray in scene.entities:
+        overrides[tray] = {"body": hit}
+    return Scene.assemble(scene.posed, replace(scene.notes, overrides=overrides))
 
 
 @per_scene

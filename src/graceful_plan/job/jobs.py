@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.job.actions import Action, Clear, CloseLid
+from graceful_plan.job.actions import Action, Clear, CloseLid, Load
 from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import JobState
 from graceful_plan.path import finite_array
@@ -91,12 +91,12 @@ class Job:
         self._grasps[self._body(name)] = tuple(given)
         return self
 
-    def allow(self, *actions: Clear | CloseLid | Action) -> Job:
+    def allow(self, *actions: Clear | CloseLid | Load | Action) -> Job:
         """Allow actions other than carrying objects to their goals; return the job."""
         for action in actions:
-            if not isinstance(action, Clear | CloseLid | Action):
-                raise SettingError("actions", action, "Clear, CloseLid, Wait or own Actions")
-            if isinstance(action, Clear):
+            if not isinstance(action, Clear | CloseLid | Load | Action):
+                raise SettingError("actions", action, "Clear, CloseLid, Load, Wait or own Actions")
+            if isinstance(action, Clear | Load):
                 self._body(action.name)
             elif isinstance(action, CloseLid):
                 self._body(action.lid)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -20,7 +21,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import default_constraints
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
-from graceful_plan.job.grasping import Grasp, grasps
+from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.verification import verify
@@ -50,8 +51,8 @@ _ITERATIONS = 6
 """Iterations of `plan` for a motion of a candidate sequence."""
 _AT_MOST = 4000
 """Iterations in which `plan` has to find a first motion, if it finds none with `_ITERATIONS`."""
-_SECONDS = 0.25
-"""Time limit of `plan` for such a motion if the job has a time limit [s]."""
+_SECONDS, _HURRIED = 0.25, 0.08
+"""Time limits of `plan` for such a motion if the job has a time limit [s]; the second until a sequence is complete."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,6 +105,7 @@ class Motions:
         q_home: Configuration near which stances are sought.
         seed: Seed of all random numbers.
         limited: Whether motions get little time instead of few iterations.
+        hurried: Whether they get less time still, because no sequence is complete yet.
         left: Time that is left of the job's time limit [s].
         cancelled: As in `plan`.
     """
@@ -116,6 +118,7 @@ class Motions:
     q_home: Float[Array, " nq"]
     seed: int = 0
     limited: bool = False
+    hurried: bool = False
     left: Callable[[], float] = lambda: np.inf
     cancelled: Callable[[], bool] | None = None
     seconds: dict[str, float] = field(
@@ -145,15 +148,14 @@ class Motions:
     def _reached(self, state: JobState, name: str) -> Iterator[Grasp]:
         """Yield sampled grasps of an object that the arm reaches where it is, if nothing else is there."""
         alone, X_WO = state.parked(self._others(state, None)).scene(), state.pose(name)
-        for grasp in grasps(state.world, name, n=_SAMPLED * self.n_grasps, seed=self.seed):
+        for grasp in islice(sampled_grasps(state.world, name, seed=self.seed), _SAMPLED * self.n_grasps):
             goal = PoseGoal(grasp.tool_at(X_WO))
             if len(self._solved(goal, alone, self.q_home)):
                 yield grasp
 
     def _solved(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"]) -> Float[Array, "n nq"]:
-        return solve_ik(
-            goal, scene, near, free=lambda q: free_of_collision(q, scene), count=1, rounds=2, seed=self.seed
-        ).q
+        free = partial(free_of_collision, scene=scene)
+        return solve_ik(goal, scene, near, free=free, count=1, rounds=2, seed=self.seed).q
 
     def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
         """Return a configuration that holds an object at a pose; None if none is free, even without other things.
@@ -190,9 +192,11 @@ class Motions:
     def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
         alone = self._alone(state, name)
         held = alone.holding(name, grasp, self.supports.get(name, ()))
-        up, why = None, ""
+        up, why = None, "out of reach"
         for height in _LIFTS:
             above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
+            if not len(self._solved(above, held, q)):
+                continue
             result = plan_cartesian(q, above, held, objective=self.objective)
             up, why = result.trajectory, result.detail
             if result.status is PlanStatus.SOLVED and up is not None:
@@ -204,9 +208,10 @@ class Motions:
         if way[2] < _STRAIGHT_DOWN:
             return _stance(q, up, up)
         opened = alone.parked((name,)).scene(grasp.opening)
-        back = plan_cartesian(
-            q, PoseGoal.from_tool(q, opened, translation=-_BACK * way), opened, objective=self.objective
-        )
+        away = PoseGoal.from_tool(q, opened, translation=-_BACK * way)
+        if not len(self._solved(away, opened, q)):
+            return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: out of reach")
+        back = plan_cartesian(q, away, opened, objective=self.objective)
         if back.status is not PlanStatus.SOLVED:
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
         return _stance(q, up, back.unwrap())
@@ -291,7 +296,7 @@ class Motions:
 
     @property
     def _effort(self) -> dict[str, Any]:
-        limit = max(min(_SECONDS, self.left()), 0.02)
+        limit = max(min(_HURRIED if self.hurried else _SECONDS, self.left()), 0.02)
         return {"time_limit": limit} if self.limited else {"iterations": _ITERATIONS}
 
     def _plan(

@@ -21,17 +21,18 @@ def _reason(goal: Transport, search: SequenceSearch) -> str | None:
     grasps = motions.grasps(state, name)
     if not grasps:
         return f"{name!r}: the gripper has no grasp of it"
-    if not goal.to:
+    to = goal.poses(state)
+    if not to:
         return f"{name!r}: there is no free placement"
     here = pose_key(state.pose(name))
     if all(motions.configuration(state, name, grasp, here) is None for grasp in grasps):
         return f"{name!r}: the arm reaches no grasp of it where it stands"
     others = state.parked(tuple(body for body in motions.movable if body != name)).scene()
-    taken = [occupant(others, name, pose_of(X)) for X in goal.to]
+    taken = [occupant(others, name, pose_of(X)) for X in to]
     if all(taken):
         return f"{name!r}: its place is taken by {taken[0]!r}; allow Clear({taken[0]!r})"
     if not any(True for _ in goal.candidates(state, motions)):
-        reached = any(motions.configuration(state, name, g, X) is not None for g in grasps for X in goal.to)
+        reached = any(motions.configuration(state, name, g, X) is not None for g in grasps for X in to)
         if not reached:
             return f"{name!r}: the arm reaches no placement of it"
         return f"{name!r}: no grasp reaches both where it stands and a placement; allow Clear({name!r})"

@@ -49,6 +49,7 @@ def parser() -> Parser:
     from graceful_plan.tools import (
         bench_command,
         impact_commands,
+        job_command,
         listing_commands,
         motion_commands,
         tune_command,
@@ -58,7 +59,15 @@ def parser() -> Parser:
 
     made = program(NAME, ABOUT)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    groups = (motion_commands, tune_command, impact_commands, view_command, bench_command, listing_commands)
+    groups = (
+        motion_commands,
+        job_command,
+        tune_command,
+        impact_commands,
+        view_command,
+        bench_command,
+        listing_commands,
+    )
     for group in groups:
         group.add_to(commands)
     command.add_to(commands, made)

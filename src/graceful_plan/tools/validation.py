@@ -1,7 +1,11 @@
-"""Validation by FailBench in a subprocess, because this library does not import it."""
+"""Validation by FailBench: of files in a subprocess, of jobs in this process, because their scenes are in no file.
+
+This library does not depend on FailBench, which is imported only if it is asked for.
+"""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import subprocess
@@ -13,6 +17,7 @@ from typing import Any, NamedTuple
 
 import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError, SettingError
+from graceful_plan.job.job_result import JobResult
 
 
 class ValidationError(GracefulPlanError, RuntimeError):
@@ -72,6 +77,18 @@ def validate_front(front: Path, scene: str, task: str, failures: int, *, grasp: 
     """
     argv = ["validate-front", str(front), "--scene", scene, "--task", task, "--grasp", grasp]
     return json.loads(_failbench([*argv, "-n", str(failures), "--json"]))
+
+
+def validate_job(result: JobResult, failures: int, *, seed: int) -> Validation:
+    """Simulate failures of the gripper at any moment of a job, and return the harm per executed job.
+
+    Raises:
+        GracefulPlanError: If the healthy robot cannot execute a motion.
+    """
+    report = importlib.import_module("failbench").validate_job(result, n=failures, seed=seed)
+    parts = (report.observed, *report.by_step)
+    mean, *by_step = ({"mean": part.mean, "low": part.low, "high": part.high, "n": part.n} for part in parts)
+    return Validation({"observed": mean, "by_step": by_step}, str(report))
 
 
 def _failbench(argv: list[str]) -> str:

@@ -138,7 +138,7 @@ class FailureBench:
         kind = _failbench().faults()[failure.fault]
         if set(kind.TARGETS) == {"gripper"} and motion.scene.carried is None:
             raise SettingError("fault", failure.fault, "another one: nothing is in the gripper")
-        job = _failbench().Job(
+        job = _failbench().RolloutRequest(
             fault=kind(degree=failure.degree), onset=failure.moment * motion.duration, seed=failure.seed
         )
         execution, notes = self._execution(motion)

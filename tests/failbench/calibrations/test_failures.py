@@ -13,7 +13,7 @@ from failbench.calibrations.failures import Failures
 from failbench.fault.registry import GripperFailure, PowerLoss
 from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run_rollouts
-from failbench.rollouts.sampling import make_jobs
+from failbench.rollouts.sampling import make_requests
 from failbench.simulated.world import build_world
 from graceful_plan.exceptions import SettingError
 
@@ -45,7 +45,7 @@ def _same(first: Failures, second: Failures) -> bool:
 @pytest.mark.long
 def test_events_equal_those_of_the_recorder(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
     execution = execute(motion, build_world(task.scene))
-    jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)
+    jobs = make_requests([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)
     rollouts = run_rollouts(execution, jobs)
     for i, rollout in enumerate(rollouts):
         touched = {(event.striker, event.entity) for event in rollout.events if not event.secondary}

@@ -12,7 +12,7 @@ from motions import EVERY_DEGREE
 from mujoco.batch import MODEL_FIELDS
 
 import failbench
-from failbench import AtFraction, AtTime, Fault, Job, Uniform, rollout_steps, run_rollouts
+from failbench import AtFraction, AtTime, Fault, RolloutRequest, Uniform, rollout_steps, run_rollouts
 from failbench.fault.registry import DEGREES, PowerLoss, StuckGripper, faults, from_document, load_class, to_document
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
@@ -112,7 +112,7 @@ def test_faults_change_the_model_while_they_last():
 def test_native_rollouts_are_the_plain_loop(ramp):
     done = healthy_run()
     jobs = [
-        Job(fault=dataclasses.replace(cls(), ramp=ramp), onset=0.05 * i * done.duration, seed=i)
+        RolloutRequest(fault=dataclasses.replace(cls(), ramp=ramp), onset=0.05 * i * done.duration, seed=i)
         for i, cls in enumerate(faults().values())
     ]
     for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.2), strict=True):

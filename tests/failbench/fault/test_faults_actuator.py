@@ -9,7 +9,7 @@ from breaking import WELD, Nothing, Record, healthy_run, joint
 from motions import ARM, SERVO, arm
 
 import graceful_plan as gp
-from failbench import Job, build_world, execute, rollout_steps, run_rollouts
+from failbench import RolloutRequest, build_world, execute, rollout_steps, run_rollouts
 from failbench.fault.registry import (
     DEGREES,
     CompleteShutdown,
@@ -170,7 +170,7 @@ def test_a_stuck_joint_stays_in_place_for_any_joint_zero():
 
 @pytest.mark.parametrize("fault", [IncreasedFriction(), StuckPosition(), PowerLoss()])
 def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
-    job = Job(fault=fault, onset=0.1, seed=0)
+    job = RolloutRequest(fault=fault, onset=0.1, seed=0)
     with pytest.raises(UnsupportedError, match="'shoulder'"):
         run_rollouts(execute([[0.0], [0.6]], build_world(arm())), [job])
     done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
@@ -183,7 +183,7 @@ def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
 def test_a_dead_gripper_releases_its_weld(fault):
     done = healthy_run(WELD)
     jobs = [
-        Job(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)
+        RolloutRequest(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)
         for degree in ("minor", "critical")
     ]
     kept, lost = (rollout.dropped for rollout in run_rollouts(done, jobs))

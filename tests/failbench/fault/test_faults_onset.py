@@ -7,7 +7,7 @@ import pytest
 from breaking import SETTINGS, WELD, Nothing, Record, healthy_run, joint
 from motions import world
 
-from failbench import AtTime, Job, rollout_steps
+from failbench import AtTime, RolloutRequest, rollout_steps
 from failbench.fault.registry import (
     DEGREES,
     BatteryDegradation,
@@ -117,7 +117,7 @@ def test_commands_get_late_little_by_little_and_never_go_back_in_time():
 def test_scale_gets_wrong_little_by_little():
     fault = ScaleError(degree="critical", targets=joint(1), ramp=0.1)
     done, levels = healthy_run(), []
-    for model, _ in rollout_steps(done, Job(fault=fault, onset=0.2, seed=0), horizon=0.2):
+    for model, _ in rollout_steps(done, RolloutRequest(fault=fault, onset=0.2, seed=0), horizon=0.2):
         levels.append(model.actuator_biasprm[0, 1] / done.world.model.actuator_biasprm[0, 1] - 1.0)
     assert np.array(levels) == pytest.approx(0.1 * np.minimum(1.0, np.arange(1, 101) / 50), abs=0.1 * 5 / 50)
     assert len(np.unique(levels)) == 10
@@ -265,7 +265,7 @@ def test_rates_of_another_robot_are_refused():
 def test_a_permanent_failure_lasts_until_restore():
     done = healthy_run()
     fault = CompleteShutdown(degree="critical", targets=("all",), when=AtTime(0.2))
-    going = rollout_steps(done, Job(fault=fault, onset=0.2, seed=0), horizon=0.5)
+    going = rollout_steps(done, RolloutRequest(fault=fault, onset=0.2, seed=0), horizon=0.5)
     dead = []
     for step, state in enumerate(going):
         model, data = state

@@ -9,7 +9,7 @@ from mujoco.batch import MODEL_FIELDS
 
 import failbench
 import graceful_plan as gp
-from failbench import Job, rollout_steps, run_rollouts
+from failbench import RolloutRequest, rollout_steps, run_rollouts
 from failbench.fault.registry import DEGREES, ProtectiveStop, faults, from_document, reactions, to_document
 from failbench.rollouts import stops_ahead
 from failbench.testing import check_fault
@@ -91,7 +91,7 @@ def test_the_robot_goes_on_after_its_time_as_all_faults_do():
 def test_native_rollouts_are_the_plain_loop():
     done = healthy_run()
     jobs = [
-        Job(fault=ProtectiveStop(category=category, ramp=ramp), onset=0.5 * done.duration, seed=0)
+        RolloutRequest(fault=ProtectiveStop(category=category, ramp=ramp), onset=0.5 * done.duration, seed=0)
         for category in (0, 1)
         for ramp in (0.0, 0.1)
     ]
@@ -139,7 +139,7 @@ def test_prepared_stops_are_planned_once_for_all_rollouts_and_threads(monkeypatc
     done = dataclasses.replace(healthy_run())
     planned = []
     monkeypatch.setattr(stops_ahead, "plan_stops", lambda *a, **k: planned.append(k) or gp.plan_stops(*a, **k))
-    jobs = [Job(fault=ProtectiveStop(prepared=0.2), onset=0.1 * k, seed=k) for k in range(6)]
+    jobs = [RolloutRequest(fault=ProtectiveStop(prepared=0.2), onset=0.1 * k, seed=k) for k in range(6)]
     assert {one.status for one in run_rollouts(done, jobs, horizon=0.1, threads=2, batch=1)} == {"completed"}
     assert planned == [{"every": 0.2}]
 

@@ -6,7 +6,7 @@ import pytest
 
 import failbench as fb
 import graceful_plan as gp
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
@@ -55,7 +55,7 @@ def test_an_object_on_a_base_tips_over_if_the_base_brakes_hard(half_width, falls
     assert execution.healthy.harmless and execution.slip < 0.01  # 1.5 m/s2 tips neither
     assert (half_width / half_height < GRIP) == falls
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
-    job = Job(fault=locked, onset=0.45 * execution.duration, seed=0)
+    job = RolloutRequest(fault=locked, onset=0.45 * execution.duration, seed=0)
     (rollout,) = run_rollouts(execution, [job], horizon=1.5)
     _, x, y, _ = rollout.poses["carried"][:4]
     upright = 1.0 - 2.0 * (x**2 + y**2)  # z component of its axis

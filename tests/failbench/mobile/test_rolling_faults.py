@@ -5,7 +5,7 @@ import pytest
 
 import failbench as fb
 import graceful_plan as gp
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.single import rollout_steps
@@ -27,7 +27,7 @@ def rolled(driven, fault, seed=0):
     world = driven.world
     rows = [
         np.concatenate([data.qpos[world.rolling.qpos], data.qpos[world.robot.qpos[:4]]])
-        for _, data in rollout_steps(driven, Job(fault=fault, onset=ONSET, seed=seed), horizon=HORIZON)
+        for _, data in rollout_steps(driven, RolloutRequest(fault=fault, onset=ONSET, seed=seed), horizon=HORIZON)
     ]
     return np.array(rows)
 
@@ -126,7 +126,7 @@ def test_a_base_without_power_rolls_as_far_as_its_friction_lets_it(driven):
 
 def test_native_rollouts_are_the_same_bit_by_bit(driven):
     chosen = [
-        Job(fault=fault(name, "severe", LEFT), onset=ONSET, seed=3)
+        RolloutRequest(fault=fault(name, "severe", LEFT), onset=ONSET, seed=3)
         for name in ("control_delay", "bias_drift", "stuck_position", "dropout")
     ]
     for job, rollout in zip(chosen, run_rollouts(driven, chosen, horizon=0.4, batch=2), strict=True):

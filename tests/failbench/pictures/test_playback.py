@@ -16,7 +16,7 @@ from motions import EVERY_DEGREE, Drop, Shake, Weaken, arm, execution
 from PIL import Image
 from places import ROOT
 
-from failbench import Fault, Job, SimSettings, build_world, faults, run_rollouts
+from failbench import Fault, RolloutRequest, SimSettings, build_world, faults, run_rollouts
 from failbench.basics.errors import NoPicture
 from failbench.pictures import contact_sheet, film, offscreen
 from failbench.pictures.drawing import TouchPaint, outlined
@@ -26,7 +26,7 @@ from failbench.simulated.states import STATE
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 SIZE = (96, 72)
-LATE = Job(fault=Drop(), onset=0.4, seed=0)
+LATE = RolloutRequest(fault=Drop(), onset=0.4, seed=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ class TestFrames:
 
     def test_a_diverging_simulation_is_shown_until_then(self, done, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
-        [rollout] = run_rollouts(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
+        [rollout] = run_rollouts(done, [RolloutRequest(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
         assert (rollout.status, rollout.state is None) == ("diverged", False)
         files = replay(done, rollout, output=tmp_path / "x", horizon=0.3, lead=0.0, fps=100.0, size=SIZE)
         assert 1 <= len(files) < 30
@@ -189,7 +189,7 @@ def test_the_film_is_the_rollout(done):
 @pytest.mark.parametrize("fault", [Drop(), Weaken(degree="critical")])
 @pytest.mark.parametrize("onset", [0.2, 0.5])
 def test_marked_hits_equal_those_of_the_recorder(done, fault, onset):
-    job = Job(fault=fault, onset=onset, seed=0)
+    job = RolloutRequest(fault=fault, onset=onset, seed=0)
     touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, job, horizon=0.5, lead=0.1):
         touches.observe(moment.model, moment.data, moment.time)
@@ -210,7 +210,7 @@ def test_nothing_is_marked_where_nothing_fails(done):
 def test_arrows_of_an_object_at_rest_carry_its_weight():
     done = execution(settings=SimSettings(grasp="weld", sleep=False))
     touches = TouchPaint(done.world, done.baseline)
-    for moment in moments_of(done, Job(fault=Drop(), onset=0.4, seed=0), horizon=1.5, lead=0.0):
+    for moment in moments_of(done, RolloutRequest(fault=Drop(), onset=0.4, seed=0), horizon=1.5, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
     view = mujoco.MjvScene(done.world.model, maxgeom=100)
     touches.draw(view)
@@ -225,7 +225,9 @@ def test_arrows_of_an_object_at_rest_carry_its_weight():
 
 def test_marks_beyond_the_room_for_them_are_left_out(done):
     touches = TouchPaint(done.world, done.baseline)
-    for moment in moments_of(done, Job(fault=Weaken(degree="critical"), onset=0.4, seed=0), horizon=0.4, lead=0.0):
+    for moment in moments_of(
+        done, RolloutRequest(fault=Weaken(degree="critical"), onset=0.4, seed=0), horizon=0.4, lead=0.0
+    ):
         touches.observe(moment.model, moment.data, moment.time)
     view = mujoco.MjvScene(done.world.model, maxgeom=2)
     touches.draw(view)
@@ -293,7 +295,7 @@ def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
 
 
 def test_a_rollout_of_another_execution_is_refused(done, tmp_path):
-    [rollout] = run_rollouts(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
+    [rollout] = run_rollouts(done, [RolloutRequest(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
     with pytest.raises(SettingError, match="execution"):
         replay(done, replace(rollout, state=rollout.state + 1.0), output=tmp_path / "x")
 
@@ -403,7 +405,7 @@ class TestContactSheet:
     def test_shows_the_worst_blow(self, done):
         [worst] = contact_sheet.worst_of(done, ["gripper_failure"])
         spacing = done.duration / 12
-        jobs = [Job(fault=worst.job.fault, onset=i * spacing, seed=i) for i in range(12)]
+        jobs = [RolloutRequest(fault=worst.job.fault, onset=i * spacing, seed=i) for i in range(12)]
         blows = [(e.energy * severity(done, e), e.time) for one in run_rollouts(done, jobs) for e in one.events]
         assert worst.job in jobs
         assert worst.time == pytest.approx(max(blows)[1] + 0.02)
@@ -411,7 +413,9 @@ class TestContactSheet:
 
     def test_shows_how_far_the_tool_strays_where_nothing_is_hit(self, done):
         rollouts = run_rollouts(
-            done, [Job(fault=Nothing(), onset=0.2, seed=0), Job(fault=BLIND, onset=0.2, seed=0)], horizon=0.1
+            done,
+            [RolloutRequest(fault=Nothing(), onset=0.2, seed=0), RolloutRequest(fault=BLIND, onset=0.2, seed=0)],
+            horizon=0.1,
         )
         assert not any(one.events for one in rollouts)
         worst = contact_sheet._worst(done, rollouts)

@@ -10,7 +10,7 @@ from failbench.fault.registry import faults, reactions
 from failbench.policies.adapters import executor
 from failbench.policies.batch import EpisodeBatch
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import CHECKPOINT
@@ -25,7 +25,7 @@ QUICK = ("noise", "control_delay", "dropout", "complete_shutdown")
 """One fault per mechanism; the others are long tests."""
 
 
-def positions(task: PolicyTask, execution: Execution, job: Job | None) -> tuple[np.ndarray, int]:
+def positions(task: PolicyTask, execution: Execution, job: RolloutRequest | None) -> tuple[np.ndarray, int]:
     """Return positions of everything at the beginning and after each step, and the onset's step."""
     batch, act = EpisodeBatch(task, 1), executor(execution)(task, 0)
     episode = batch.begin(0, np.random.default_rng(0), job)
@@ -62,7 +62,7 @@ def test_temporary_and_growing_faults_reproduce_the_rollout(exact, execution, fa
 
 
 def compare(task: PolicyTask, execution: Execution, fault: Fault) -> None:
-    job = Job(fault=fault, onset=ONSET, seed=5)
+    job = RolloutRequest(fault=fault, onset=ONSET, seed=5)
     found, onset = positions(task, execution, job)
     horizon = (len(found) - 1 - onset) * execution.dt
     expected = np.array([data.qpos.copy() for _, data in rollout_steps(execution, job, horizon=horizon)])
@@ -82,7 +82,7 @@ def test_a_stop_brakes_straight_ahead(easy):
     for later in (fast, np.zeros_like(fast)):
         batch = EpisodeBatch(easy, 1)
         stop = reactions()["protective_stop"](degree="severe")
-        episode = batch.begin(0, np.random.default_rng(0), Job(fault=stop, onset=0.2, seed=0))
+        episode = batch.begin(0, np.random.default_rng(0), RolloutRequest(fault=stop, onset=0.2, seed=0))
         while episode.time < 0.5:
             batch.advance({0: ("joint_velocity", fast if episode.time < 0.2 - 1e-9 else later)})
         ends.append(episode.qpos[easy.world.robot.qpos].copy())
@@ -95,7 +95,7 @@ def test_a_stop_brakes_straight_ahead(easy):
 def test_a_policy_has_no_motion_to_prepare_stops_along(easy):
     batch = EpisodeBatch(easy, 1)
     stop = reactions()["protective_stop"](prepared=0.1)
-    episode = batch.begin(0, np.random.default_rng(0), Job(fault=stop, onset=0.1, seed=0))
+    episode = batch.begin(0, np.random.default_rng(0), RolloutRequest(fault=stop, onset=0.1, seed=0))
     with pytest.raises(UnsupportedError, match="planned motion"):
         while episode.time < 0.2:
             batch.advance({0: ("joint_velocity", np.full_like(easy.start, 0.1))})

@@ -26,7 +26,7 @@ from failbench.policies import (
     varied_task,
 )
 from failbench.policies.policy import PolicyError
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan.exceptions import SettingError
 from graceful_plan.timing.dynamics import RobotDynamics
 
@@ -60,7 +60,7 @@ def test_healthy_episodes_of_other_robots_raise_no_alarm(task, watch):
 
 def test_every_kind_of_fault_is_noticed(task, watch):
     kinds = {name: fault(degree="critical") for name, fault in faults().items()}
-    jobs = [Job(fault=fault, onset=0.3, seed=3) for fault in kinds.values()]
+    jobs = [RolloutRequest(fault=fault, onset=0.3, seed=3) for fault in kinds.values()]
     found = dict(zip(kinds, episodes(task, watch, jobs), strict=True))
     late = {name: rollout.notice for name, rollout in found.items() if rollout.notice is None}
     assert late == {}
@@ -71,7 +71,7 @@ def test_every_kind_of_fault_is_noticed(task, watch):
 
 
 def test_the_same_seed_gives_the_same_episode(task, watch):
-    job = Job(fault=faults()["noise"](degree="severe"), onset=0.3, seed=3)
+    job = RolloutRequest(fault=faults()["noise"](degree="severe"), onset=0.3, seed=3)
     first, second = (episodes(task, watch, [job])[0] for _ in range(2))
     assert first.notice == second.notice and first.events == second.events and first.distance == second.distance
 
@@ -84,7 +84,7 @@ def test_reactions_stop_the_arm_after_the_notice(task, watch, kind):
         if kind == "prepared"
         else kind()
     )
-    job = Job(fault=faults()["noise"](degree="moderate", targets=("panda/joint7",)), onset=0.3, seed=3)
+    job = RolloutRequest(fault=faults()["noise"](degree="moderate", targets=("panda/joint7",)), onset=0.3, seed=3)
     stopped, healthy = episodes(task, watch, [job], recovery)[0], episodes(task, watch, [None])[0]
     assert stopped.notice is not None and not stopped.success
     assert stopped.distance[0] > healthy.distance[0] + 0.05

@@ -18,7 +18,7 @@ from failbench.policies.mlp import Mlp
 from failbench.policies.policy import Acting, PolicyError, imported_policy
 from failbench.policies.rollouts import roll_out
 from failbench.policies.task import PolicySettings, policy_task
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 
 
@@ -41,7 +41,7 @@ def noisy():
 
 
 def test_episodes_depend_on_the_seed_alone(noisy):
-    jobs = [None, Job(fault=faults()["gripper_failure"](), onset=0.4, seed=1), None]
+    jobs = [None, RolloutRequest(fault=faults()["gripper_failure"](), onset=0.4, seed=1), None]
     together = roll_out(noisy, following, [3, 4, 5], jobs)
     alone = roll_out(noisy, following, [4], jobs[1:2])
     again = roll_out(noisy, following, [5, 4, 3], jobs[::-1], batch=1)
@@ -51,7 +51,7 @@ def test_episodes_depend_on_the_seed_alone(noisy):
 
 
 def test_success_is_at_the_goal_and_with_the_object(easy):
-    drop = Job(fault=faults()["gripper_failure"](degree="critical"), onset=0.5, seed=1)
+    drop = RolloutRequest(fault=faults()["gripper_failure"](degree="critical"), onset=0.5, seed=1)
     done, stood, dropped = (
         roll_out(easy, make, [0], [job])[0] for make, job in ((following, None), (standing, None), (following, drop))
     )
@@ -211,7 +211,7 @@ def test_invalid_settings_are_refused(easy):
     with pytest.raises(SettingError):
         roll_out(easy, following, [0], [])
     with pytest.raises(UnknownNameError):
-        roll_out(easy, following, [0], [Job(fault=faults()["noise"](targets=("elbow",)), onset=0.1, seed=0)])
+        roll_out(easy, following, [0], [RolloutRequest(fault=faults()["noise"](targets=("elbow",)), onset=0.1, seed=0)])
     assert isinstance(easy.straight, gp.Trajectory)
 
 

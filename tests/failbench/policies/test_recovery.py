@@ -13,7 +13,7 @@ from failbench.policies.policy import Acting, PolicyError
 from failbench.policies.recovery import ReplanOnFailure, StopOnFailure, recovering
 from failbench.policies.rollouts import roll_out
 from failbench.policies.task import PolicySettings, policy_task
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 
 
 def following(task, seed):
@@ -42,7 +42,7 @@ def watch_recovery(task, recovery, delay=0.1, onset=0.3, fault=HARMLESS, factory
     """Return the onset, observation times, measured and desired joint positions, and observations of an episode."""
     seen = []
     inner = recovering(factory, recovery, onset, delay)
-    job = Job(fault=fault, onset=onset, seed=0)
+    job = RolloutRequest(fault=fault, onset=onset, seed=0)
     rollout = roll_out(task, lambda task, seed: Watched(inner(task, seed), seen), [0], [job])[0]
     return rollout, np.array([one.time for one in seen]), np.array([one.q for one in seen]), seen
 
@@ -97,7 +97,9 @@ def test_brakes_hold_a_dead_joint_at_any_onset(easy, onset):
                 return np.zeros(0) if self.action == "brake" else easy.start
 
         seen = []
-        roll_out(easy, lambda task, seed: Watched(Braking(), seen), [0], [Job(fault=dead, onset=onset, seed=0)])
+        roll_out(
+            easy, lambda task, seed: Watched(Braking(), seen), [0], [RolloutRequest(fault=dead, onset=onset, seed=0)]
+        )
         return np.array([one.q for one in seen if one.time > 0.3])
 
     assert np.ptp(fallen("joint_position"), axis=0).max() > 0.3

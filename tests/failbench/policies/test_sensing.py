@@ -10,7 +10,7 @@ from failbench.fault.registry import BiasDrift, ControlDelay, DeadZone, Dropout,
 from failbench.policies.batch import EpisodeBatch
 from failbench.policies.policy import Observation
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 
 ONSET = 0.1
 JOINT = 3
@@ -21,7 +21,7 @@ def watched(
 ) -> list[tuple[Observation, np.ndarray, np.ndarray]]:
     """Let the robot move; return observations with the true positions and velocities."""
     batch, robot = EpisodeBatch(task, 1), task.world.robot
-    job = None if fault is None else Job(fault=fault, onset=ONSET, seed=3)
+    job = None if fault is None else RolloutRequest(fault=fault, onset=ONSET, seed=3)
     episode = batch.begin(0, np.random.default_rng(0), job)
     data = batch.episodes[0]._live
     found = []

@@ -10,7 +10,7 @@ import pytest
 from motions import Drop, Weaken, arm, execution, world
 
 import graceful_plan as gp
-from failbench import Execution, Job, ObjectLost, SimSettings, build_world, execute, run_rollouts
+from failbench import Execution, ObjectLost, RolloutRequest, SimSettings, build_world, execute, run_rollouts
 from failbench.recording.healthy import HealthyHarm, whole_execution
 from failbench.recording.records import ContactEvent, Rollout
 from failbench.recording.score import observed_impact
@@ -87,7 +87,7 @@ def test_a_planned_motion_does_no_harm_and_nothing_about_its_failures_changes() 
 def test_contents_lost_before_the_onset_are_not_counted_for_the_failure() -> None:
     """The same drop before and after the mug was turned over: each part of the contents spills once."""
     done = _done(_OVER)
-    jobs = [Job(fault=Drop(), onset=onset, seed=0) for onset in (0.0, done.duration)]
+    jobs = [RolloutRequest(fault=Drop(), onset=onset, seed=0) for onset in (0.0, done.duration)]
     early, late = run_rollouts(done, jobs, horizon=0.6)
     assert early.spilled > 0.8 and late.spilled == 0.0
     assert done.healthy.kept is not None and done.healthy.kept[-1] < 0.01 * done.healthy.kept[0]
@@ -106,7 +106,7 @@ def test_every_pair_counts_once_in_an_execution() -> None:
     done = _done(_OVER)
     nothing = Weaken(degree="minor", duration=0.002)
     middle = float(np.median(list(done.healthy.poured.values())))
-    jobs = [Job(fault=nothing, onset=onset, seed=0) for onset in (0.0, middle, done.duration)]
+    jobs = [RolloutRequest(fault=nothing, onset=onset, seed=0) for onset in (0.0, middle, done.duration)]
     rollouts = run_rollouts(done, jobs, horizon=done.duration + 0.2)
     for rollout in (rollouts[0], rollouts[-1]):
         whole = observed_impact(whole_execution(rollout, done.healthy), done.world.scene)
@@ -128,7 +128,9 @@ def test_an_execution_by_hand() -> None:
         landings=(_event("carried", ""),),
         poured={"laptop": 0.5, "desk": 1.5},
     )
-    rollout = Rollout(job=Job(fault=Drop(), onset=1.0, seed=0), onset=1.0, events=(_event("carried", "desk"),))
+    rollout = Rollout(
+        job=RolloutRequest(fault=Drop(), onset=1.0, seed=0), onset=1.0, events=(_event("carried", "desk"),)
+    )
     whole = whole_execution(rollout, healthy)
     pairs = [(event.striker, event.entity) for event in whole.events]
     assert pairs == [("contents", "laptop"), ("body", "phone"), ("carried", "desk")]
@@ -156,7 +158,9 @@ def test_hits_of_a_healthy_robot_are_harm() -> None:
     assert "vase: harm 15 " in str(bump.healthy)
     assert execute(np.array([[0.5], [1.0]]), made).healthy.harmless
     # The rollout omits this hit, so the execution's counts.
-    (rollout,) = run_rollouts(bump, [Job(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0)
+    (rollout,) = run_rollouts(
+        bump, [RolloutRequest(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0
+    )
     assert observed_impact(rollout, scene) == 0.0
     assert observed_impact(whole_execution(rollout, bump.healthy), scene) == bump.healthy.harm
 

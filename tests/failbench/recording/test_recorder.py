@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from motions import Drop, Weaken, execution
 
-from failbench import Job, rollout_steps, run_rollouts
+from failbench import RolloutRequest, rollout_steps, run_rollouts
 from failbench.recording.final_state import _tilt
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import ContactEvent
@@ -316,8 +316,8 @@ def test_dropped_is_away_from_the_tool_and_out_of_the_fingers(world: World) -> N
 def test_rollouts_on_the_tabletop_equal_a_plain_loop() -> None:
     # A short horizon: sleeping bodies lose their contacts, but sensors keep their values.
     done = execution()
-    jobs = [Job(fault=Drop(), onset=part * done.duration, seed=0) for part in (0.3, 0.6, 0.9)]
-    jobs.append(Job(fault=Weaken(degree="critical"), onset=0.5 * done.duration, seed=1))
+    jobs = [RolloutRequest(fault=Drop(), onset=part * done.duration, seed=0) for part in (0.3, 0.6, 0.9)]
+    jobs.append(RolloutRequest(fault=Weaken(degree="critical"), onset=0.5 * done.duration, seed=1))
     touched = 0
     for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.35), strict=True):
         contacts: dict[tuple[str, str], list[tuple[int, float, np.ndarray]]] = defaultdict(list)

@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from failbench.fault.registry import faults
-from failbench.recording.records import ContactEvent, Job, Rollout
+from failbench.recording.records import ContactEvent, Rollout, RolloutRequest
 from failbench.recording.score import energy_impact, impact_by_entity, observed_impact, own_loss, secondary_impact
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 
-_JOB = Job(fault=faults()["complete_shutdown"](), onset=0.0, seed=0)
+_JOB = RolloutRequest(fault=faults()["complete_shutdown"](), onset=0.0, seed=0)
 
 
 def _event(striker: str, entity: str, energy: float = 1.0, *, secondary: bool = False) -> ContactEvent:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from motions import Drop, Weaken, execution
 
-from failbench import Job, run_rollouts
+from failbench import RolloutRequest, run_rollouts
 from failbench.recording.contact_query import ContactQuery
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
@@ -240,7 +240,9 @@ def test_coffee_is_lost_by_failures_only() -> None:
     done = execution("desk", "bring_coffee")
     nothing, drop = Weaken(degree="minor", duration=0.002), Drop()
     jobs = [
-        Job(fault=fault, onset=part * done.duration, seed=0) for fault in (nothing, drop) for part in (0.2, 0.5, 0.8)
+        RolloutRequest(fault=fault, onset=part * done.duration, seed=0)
+        for fault in (nothing, drop)
+        for part in (0.2, 0.5, 0.8)
     ]
     rollouts = run_rollouts(done, jobs, horizon=0.6)
     assert [rollout.spilled for rollout in rollouts[:3]] == [0.0] * 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from motions import Drop, Shake, Weaken, execution
 
-from failbench import Job, SimSettings, rollout_steps, run_rollouts
+from failbench import RolloutRequest, SimSettings, rollout_steps, run_rollouts
 from failbench.rollouts.rollout import _run_group
 from failbench.simulated.states import CHECKPOINT
 from failbench.sweeps.rows import rollout_row
@@ -24,7 +24,8 @@ FAULTS = (
 def jobs_of(faults, duration, seed=0):
     rng = np.random.default_rng(seed)
     return [
-        Job(fault=fault, onset=float(rng.uniform(0.0, duration)), seed=int(rng.integers(2**31))) for fault in faults
+        RolloutRequest(fault=fault, onset=float(rng.uniform(0.0, duration)), seed=int(rng.integers(2**31)))
+        for fault in faults
     ]
 
 
@@ -73,7 +74,7 @@ def test_batches_and_threads_change_nothing(done):
 
 
 def test_the_object_falls_when_the_gripper_opens(done):
-    (rollout,) = run_rollouts(done, [Job(fault=Drop(), onset=0.3, seed=0)])
+    (rollout,) = run_rollouts(done, [RolloutRequest(fault=Drop(), onset=0.3, seed=0)])
     assert rollout.dropped
     assert rollout.status == "completed"
     assert any(event.striker == "carried" for event in rollout.events)
@@ -81,7 +82,7 @@ def test_the_object_falls_when_the_gripper_opens(done):
 
 def test_nothing_happens_to_a_healthy_robot(done):
     """With a fault without effect, the rollout equals the healthy run."""
-    job = Job(fault=Weaken(degree="minor", duration=done.dt, targets=("gripper",)), onset=0.1, seed=0)
+    job = RolloutRequest(fault=Weaken(degree="minor", duration=done.dt, targets=("gripper",)), onset=0.1, seed=0)
     (rollout,) = run_rollouts(done, [job], horizon=0.4)
     assert not rollout.events
     assert not rollout.dropped
@@ -99,7 +100,7 @@ def test_nothing_happens_to_a_healthy_robot(done):
 def test_a_temporary_fault_leaves_no_trace_in_the_model(done, fault):
     model = None
     changed = False
-    for model, _ in rollout_steps(done, Job(fault=fault, onset=0.2, seed=1), horizon=0.2):
+    for model, _ in rollout_steps(done, RolloutRequest(fault=fault, onset=0.2, seed=1), horizon=0.2):
         changed |= not np.array_equal(model.actuator_gainprm, done.world.model.actuator_gainprm)
     assert changed == bool(fault.FIELDS)
     for name in ("actuator_gainprm", "actuator_biasprm", "dof_damping", "jnt_range", "eq_data"):
@@ -107,7 +108,7 @@ def test_a_temporary_fault_leaves_no_trace_in_the_model(done, fault):
 
 
 def test_a_failure_after_the_end_strikes_a_robot_at_rest(done):
-    (rollout,) = run_rollouts(done, [Job(fault=Drop(), onset=99.0, seed=0)], horizon=0.1)
+    (rollout,) = run_rollouts(done, [RolloutRequest(fault=Drop(), onset=99.0, seed=0)], horizon=0.1)
     assert rollout.onset == pytest.approx(done.duration, abs=CHECKPOINT * done.dt)
 
 
@@ -115,7 +116,7 @@ def test_a_diverging_simulation_is_reported(done, monkeypatch):
     broken = copy.copy(done.states)
     broken[10, :] = np.where(np.arange(broken.shape[1]) == 3, np.nan, broken[10])
     object.__setattr__(exploding := copy.copy(done), "states", broken)
-    jobs = [Job(fault=Drop(), onset=k * CHECKPOINT * done.dt, seed=0) for k in (9, 10, 11)]
+    jobs = [RolloutRequest(fault=Drop(), onset=k * CHECKPOINT * done.dt, seed=0) for k in (9, 10, 11)]
     rollouts = run_rollouts(exploding, jobs, horizon=0.05)
     assert [r.status for r in rollouts] == ["completed", "diverged", "completed"]
     assert np.array_equal(rollouts[1].state, broken[10], equal_nan=True)
@@ -137,13 +138,13 @@ def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
 
 def test_misuse_is_refused(done):
     with pytest.raises(SettingError, match=r"horizon = 0\.0"):
-        run_rollouts(done, [Job(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
+        run_rollouts(done, [RolloutRequest(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
-        run_rollouts(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
+        run_rollouts(done, [RolloutRequest(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
     for setting in ("threads", "batch"):
         for wrong, expected in ((0, "at least 1"), (10**400, "at most")):
             with pytest.raises(SettingError, match=rf"{setting} = .*{expected}"):
-                run_rollouts(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: wrong})
+                run_rollouts(done, [RolloutRequest(fault=Drop(), onset=0.1, seed=0)], **{setting: wrong})
     assert run_rollouts(done, []) == []
 
 
@@ -166,7 +167,7 @@ def test_a_mistake_in_a_fault_is_raised_and_ends_the_others(done, threads, monke
         return _run_group(*given)
 
     monkeypatch.setattr("failbench.rollouts.rollout._run_group", counted)
-    jobs = [Job(fault=fault, onset=0.2, seed=0) for fault in (Bug(), *[Drop()] * 60)]
+    jobs = [RolloutRequest(fault=fault, onset=0.2, seed=0) for fault in (Bug(), *[Drop()] * 60)]
     with pytest.raises(IndexError, match="a mistake in a fault"):
         run_rollouts(done, jobs, horizon=0.05, threads=threads, batch=1)
     assert len(begun) < len(jobs)
@@ -174,7 +175,7 @@ def test_a_mistake_in_a_fault_is_raised_and_ends_the_others(done, threads, monke
 
 def test_a_weld_lets_go_without_a_push():
     done = execution(settings=SimSettings(grasp="weld"))
-    job = Job(fault=Drop(), onset=0.3, seed=0)
+    job = RolloutRequest(fault=Drop(), onset=0.3, seed=0)
     body = done.world.carried_body
     adr = int(done.world.model.jnt_dofadr[done.world.model.body_jntadr[body]])
     speeds = [data.qvel[adr : adr + 3].copy() for _, data in rollout_steps(done, job, horizon=0.02)]
@@ -185,7 +186,7 @@ def test_a_weld_lets_go_without_a_push():
 
 @pytest.mark.parametrize("horizon", [0.0, -1.0, 0.001, float("nan"), float("inf"), 1e9])
 def test_horizons_are_checked(done, horizon):
-    job = Job(fault=Drop(), onset=0.1, seed=0)
+    job = RolloutRequest(fault=Drop(), onset=0.1, seed=0)
     for ask in (
         lambda: run_rollouts(done, [job], horizon=horizon),
         lambda: list(rollout_steps(done, job, horizon=horizon)),
@@ -205,7 +206,7 @@ def test_horizons_are_checked(done, horizon):
 )
 def test_jobs_are_checked(wrong, message):
     with pytest.raises(SettingError, match=message):
-        Job(**({"fault": Drop(), "onset": 0.1, "seed": 0} | wrong))
+        RolloutRequest(**({"fault": Drop(), "onset": 0.1, "seed": 0} | wrong))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +225,7 @@ def test_a_joint_whose_sensor_reads_high_comes_to_rest_too_low(control):
     done = execution(settings=SimSettings(control=control))
     joint = done.world.robot.joints[3]
     *_, (_, data) = rollout_steps(
-        done, Job(fault=ReadsHigh(targets=(joint,)), onset=done.duration, seed=0), horizon=1.0
+        done, RolloutRequest(fault=ReadsHigh(targets=(joint,)), onset=done.duration, seed=0), horizon=1.0
     )
     off = data.qpos[done.world.robot.qpos] - done.trajectory.q[-1]
     assert off[3] == pytest.approx(-0.075, abs=0.005)

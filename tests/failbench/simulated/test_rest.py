@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from motions import Drop, execution
 
-from failbench import Job, SimSettings, rollout_steps
+from failbench import RolloutRequest, SimSettings, rollout_steps
 from failbench.simulated.rest import let_sleep
 
 HORIZON = 0.8
@@ -32,7 +32,7 @@ def trace(done, fault, onset):
     tree = done.world.model.body_treeid[body]
     rows = [
         (data.qpos[done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]] + 2], data.tree_asleep[tree] >= 0)
-        for _, data in rollout_steps(done, Job(fault=fault, onset=onset, seed=0), horizon=HORIZON)
+        for _, data in rollout_steps(done, RolloutRequest(fault=fault, onset=onset, seed=0), horizon=HORIZON)
     ]
     return np.array(rows)
 

@@ -33,7 +33,7 @@ def done(people="walk", spread=0.0, x=-0.9):
 
 
 def job(onset=0.3, seed=0):
-    return fb.Job(fault=fb.faults()["gripper_failure"](degree="critical"), onset=onset, seed=seed)
+    return fb.RolloutRequest(fault=fb.faults()["gripper_failure"](degree="critical"), onset=onset, seed=seed)
 
 
 def watched(execution, job, horizon=0.4):

@@ -44,7 +44,7 @@ class Watched:
 
     def __init__(self, fault, done, *, onset=0.5, seed=0, horizon=0.4, prepare=None):
         rows = {"qpos": [], "qvel": [], "mocap": [], "quat": [], "xfrc": []}
-        rollout = fb.rollout_steps(done, fb.Job(fault=fault, onset=onset, seed=seed), horizon=horizon)
+        rollout = fb.rollout_steps(done, fb.RolloutRequest(fault=fault, onset=onset, seed=seed), horizon=horizon)
         for step, (model, data) in enumerate(rollout):
             self.model, self.data = model, data
             for name, value in zip(
@@ -95,7 +95,7 @@ def test_faults_of_surroundings_keep_the_contract(name):
 def test_native_rollouts_are_the_plain_loop(name):
     fault = disturbances()[name](degree="critical")
     done = staged(fault) if fault.visitor() else healthy_run()
-    (rollout,) = fb.run_rollouts(done, [fb.Job(fault=fault, onset=0.3, seed=2)], horizon=0.3)
+    (rollout,) = fb.run_rollouts(done, [fb.RolloutRequest(fault=fault, onset=0.3, seed=2)], horizon=0.3)
     data = Watched(fault, done, onset=0.3, seed=2, horizon=0.3).data
     for entity, body in done.world.movable.items():
         adr = done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]]
@@ -172,7 +172,7 @@ def test_on_a_wet_floor_objects_decelerate_by_the_remaining_friction():
 
 def test_fingers_hold_on_a_wet_floor():
     (rollout,) = fb.run_rollouts(
-        healthy_run(), [fb.Job(fault=WetFloor(degree="critical"), onset=0.2, seed=0)], horizon=0.5
+        healthy_run(), [fb.RolloutRequest(fault=WetFloor(degree="critical"), onset=0.2, seed=0)], horizon=0.5
     )
     assert not rollout.dropped
 
@@ -198,7 +198,7 @@ def test_a_heavier_object_pulls_the_arm_down_by_its_weight_over_the_stiffness(de
 def test_fingers_lose_a_heavy_object():
     done = execution("tabletop", "green_to_blue", WELD)
     held, lost = (
-        fb.run_rollouts(done, [fb.Job(fault=HeavierObject(degree=degree), onset=0.3, seed=0)])[0].dropped
+        fb.run_rollouts(done, [fb.RolloutRequest(fault=HeavierObject(degree=degree), onset=0.3, seed=0)])[0].dropped
         for degree in ("minor", "critical")
     )
     weight = done.world.model.body_mass[done.world.carried_body] * G
@@ -210,7 +210,7 @@ def test_fingers_lose_a_heavy_object():
 def test_an_obstacle_put_in_the_path_is_hit():
     fault = AddedObject(degree="critical", category="glass")
     done = staged(fault)
-    rollouts = fb.run_rollouts(done, [fb.Job(fault=fault, onset=0.2, seed=0)], horizon=1.0)
+    rollouts = fb.run_rollouts(done, [fb.RolloutRequest(fault=fault, onset=0.2, seed=0)], horizon=1.0)
     hit = {event.entity for event in rollouts[0].events if not event.secondary}
     assert fault.NAME in hit
     assert done.world.scene.entities[fault.NAME].category == "glass"
@@ -255,7 +255,9 @@ def test_a_person_may_set_off_slowly():
 
 def test_a_person_walking_into_the_robot_is_hit():
     fault = PersonWalksIn(degree="critical", passing=0.0, distance=0.5)
-    rollouts = fb.run_rollouts(staged(fault), [fb.Job(fault=fault, onset=0.2, seed=s) for s in range(4)], horizon=0.6)
+    rollouts = fb.run_rollouts(
+        staged(fault), [fb.RolloutRequest(fault=fault, onset=0.2, seed=s) for s in range(4)], horizon=0.6
+    )
     touched = [{e.striker for e in r.events if e.entity == fault.NAME and not e.secondary} for r in rollouts]
     assert all(touched)
     speeds = [e.speed for r in rollouts for e in r.events if e.entity == fault.NAME and e.striker == "body"]

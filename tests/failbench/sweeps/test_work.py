@@ -119,8 +119,8 @@ def test_all_faults_on_all_motions_have_the_same_luck(sweep):
 
 def test_the_rollouts_of_a_fault_are_drawn_once_not_for_every_chunk(sweep, monkeypatch):
     calls = []
-    real = work.make_jobs
-    monkeypatch.setattr(work, "make_jobs", lambda *args, **named: calls.append(named) or real(*args, **named))
+    real = work.make_requests
+    monkeypatch.setattr(work, "make_requests", lambda *args, **named: calls.append(named) or real(*args, **named))
     many = dataclasses.replace(sweep, rollouts=1000, seed=77)
     drawn = [jobs_of(many, 0, 0)[chunk.first : chunk.last] for chunk in many.chunks[: -(-1000 // CHUNK)]]
     assert len(calls) == 1 and sum(map(len, drawn)) == 1000

@@ -32,7 +32,7 @@ def traced(job, done, **given):
 
 
 def test_states_equal_those_of_the_rollout():
-    job = fb.Job(fault=DROP, onset=0.3, seed=1)
+    job = fb.RolloutRequest(fault=DROP, onset=0.3, seed=1)
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=10))
     assert steps["step"].tolist() == [0, 10, 20, 30, 40]
     states = [data.qpos.copy() for _, data in fb.rollout_steps(healthy_run(), job, horizon=0.1)]
@@ -43,7 +43,7 @@ def test_states_equal_those_of_the_rollout():
 
 
 def test_energies_include_all_masses():
-    job = fb.Job(fault=DROP, onset=0.3, seed=1)
+    job = fb.RolloutRequest(fault=DROP, onset=0.3, seed=1)
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=20))
     model, data = healthy_run().world.model, mujoco.MjData(healthy_run().world.model)
     for _, row in steps.iterrows():
@@ -57,7 +57,7 @@ def test_energies_include_all_masses():
 
 
 def test_contact_forces_equal_those_of_events():
-    job = fb.Job(fault=DROP, onset=0.3, seed=1)
+    job = fb.RolloutRequest(fault=DROP, onset=0.3, seed=1)
     (rollout,) = fb.run_rollouts(healthy_run(), [job], horizon=0.5)
     _, points = traced(job, healthy_run(), horizon=0.5, sampling=Sampling(every=1))
     events = [e for e in rollout.events if e.striker == "carried" and not e.secondary]
@@ -74,7 +74,9 @@ def test_contact_forces_equal_those_of_events():
 
 def test_the_gripper_carries_what_it_holds():
     done = healthy_run()
-    steps, points = traced(fb.Job(fault=Nothing(), onset=99.0, seed=0), done, horizon=0.6, sampling=Sampling(every=50))
+    steps, points = traced(
+        fb.RolloutRequest(fault=Nothing(), onset=99.0, seed=0), done, horizon=0.6, sampling=Sampling(every=50)
+    )
     held = points[(points["first"].eq("carried")) | (points["second"].eq("carried"))]
     held = held[held["step"] == steps["step"].max()]
     up = np.where(held["second"] == "carried", held["fz"], -held["fz"]).sum()

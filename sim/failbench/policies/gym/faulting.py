@@ -9,7 +9,7 @@ import numpy as np
 
 from failbench.fault.fault import Fault
 from failbench.policies.task import PolicyTask
-from failbench.recording.records import Job
+from failbench.recording.records import RolloutRequest
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
 
@@ -27,7 +27,7 @@ class FaultSampler:
     def __init__(self, fault: Fault | None) -> None:
         self.fault = _checked(fault)
 
-    def job(self, task: PolicyTask, rng: np.random.Generator, options: Mapping[str, Any]) -> Job | None:
+    def job(self, task: PolicyTask, rng: np.random.Generator, options: Mapping[str, Any]) -> RolloutRequest | None:
         """Return the fault of a new episode and its onset, by default within the duration of the straight motion.
 
         Args:
@@ -47,7 +47,7 @@ class FaultSampler:
         onset = options.get("onset", fault.when.onset(u, task.straight.duration))
         if not (is_real(onset) and 0.0 <= onset < np.inf):
             raise SettingError("onset", onset, "a finite time of at least 0 s")
-        return Job(fault=fault, onset=float(onset), seed=seed)
+        return RolloutRequest(fault=fault, onset=float(onset), seed=seed)
 
 
 def _checked(fault: object) -> Fault | None:

@@ -1,0 +1,113 @@
+"""The five jobs with drawn poses and severities; nothing of the library was fitted on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import graceful_plan as gp
+
+FOLDER = Path(__file__).parent
+SEED = 42
+SHIFT, GOAL_SHIFT = 0.03, 0.02
+"""Largest shift of objects and of their goals along x and y [m]."""
+FACTOR = 2.0
+"""Largest factor of a severity, up or down."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobKind:
+    """A job before poses and severities are drawn."""
+
+    goals: Mapping[str, Sequence[float]]
+    """Position of each object in the end [m]."""
+    on_tray: tuple[str, ...] = ()
+    """Objects that have to stand on the tray in the end."""
+    extras: tuple[gp.Clear | gp.CloseLid, ...] = ()
+    """Actions that are no part of the goal and cost motion: only harm can make them pay."""
+    others: tuple[str, ...] = ()
+    """Further bodies that are shifted."""
+    precious: tuple[str, ...] = ()
+    """Entities whose severities are drawn."""
+    is_small: bool = False
+    """Whether an exhaustive search takes seconds."""
+
+
+KINDS: Mapping[str, JobKind] = {
+    "lid": JobKind(
+        goals={"kettle": (0.5, 0.3, 0.4)},
+        extras=(gp.CloseLid("kettle", "lid"),),
+        others=("laptop", "lid"),
+        precious=("laptop",),
+        is_small=True,
+    ),
+    "clear_once": JobKind(
+        goals={f"mug{i + 1}": (0.5, 0.25 + 0.11 * i, 0.4) for i in range(3)},
+        extras=(gp.Clear("laptop", on="side_table", n=1),),
+        others=("laptop",),
+        precious=("laptop",),
+    ),
+    "order": JobKind(goals={"dome": (0.5, 0.12, 0.4), "crate": (0.5, 0.48, 0.4)}, precious=("dome",), is_small=True),
+    "person": JobKind(
+        goals={"mug": (0.6, 0.3, 0.4), "crate": (0.4, 0.4, 0.4), "box": (0.4, 0.2, 0.4)}, precious=("guest",)
+    ),
+    "tray": JobKind(
+        goals={"tray": (0.48, 0.3, 0.4)},
+        on_tray=("glass1", "glass2"),
+        others=("laptop",),
+        precious=("laptop",),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Variant:
+    """A job with drawn poses and severities."""
+
+    scene: gp.Scene
+    kind: JobKind
+    goals: Mapping[str, np.ndarray]
+
+    def job(self, *, extras: bool = True) -> gp.Job:
+        """Return the job, with or without actions that only harm can make pay."""
+        job = gp.Job(self.scene)
+        for name, at in self.goals.items():
+            job.place(name, at=at)
+        for name in self.kind.on_tray:
+            job.place(name, on="tray")
+        if self.kind.on_tray:
+            job.allow(gp.Load("tray"))
+        return job.allow(*self.kind.extras) if extras else job
+
+
+def variant(name: str, number: int) -> Variant:
+    """Draw a variant of a job; number 0 is the scene as it is."""
+    kind, scene = KINDS[name], gp.load_scene(FOLDER / f"{name}.yaml")
+    goals = {body: np.array(at) for body, at in kind.goals.items()}
+    if number == 0:
+        return Variant(scene=scene, kind=kind, goals=goals)
+    rng = np.random.default_rng([SEED, list(KINDS).index(name), number])
+    data = scene.data_at(scene.keyframes["ready"])
+    moved = {}
+    for body in (*kind.goals, *kind.on_tray, *kind.others):
+        moved[body] = data.body(body).xpos + [*rng.uniform(-SHIFT, SHIFT, 2), 0.0]
+    for at in goals.values():
+        at[:2] += rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2)
+    factors = {body: float(FACTOR ** rng.uniform(-1.0, 1.0)) for body in kind.precious}
+    table = scene.notes.severity
+    severity = {}
+    for body, factor in factors.items():
+        note = scene.moving[body] if body in scene.moving else scene.entities[body]
+        severity[body] = {component: factor * value for component, value in table.rows[note.category].items()}
+    return Variant(scene=scene.edit(move=moved).with_severity(severity), kind=kind, goals=goals)
+
+
+def eight_objects() -> Variant:
+    """Return a job with eight objects, each of which goes to the mirrored place on the other side of a table."""
+    scene = gp.load_scene(FOLDER / "lay.yaml")
+    data = scene.data_at(scene.keyframes["ready"])
+    goals = {name: data.body(name).xpos * [1.0, -1.0, 1.0] for name in scene.entities if name != "table"}
+    return Variant(scene=scene, kind=JobKind(goals={name: at.tolist() for name, at in goals.items()}), goals=goals)

@@ -1,0 +1,195 @@
+"""Whole tasks: harm per executed job of the planned sequence, and of other ways to choose the order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import report, store, suite
+from benchmarks.jobs.runs import (
+    BLIND,
+    BLIND_ORDER,
+    FRAGILE,
+    METHODS,
+    NEAREST,
+    OURS,
+    Measured,
+    Run,
+    Way,
+    first_plan,
+    measure,
+)
+from benchmarks.jobs.variants import FACTOR, GOAL_SHIFT, KINDS, SHIFT, eight_objects
+
+TITLE = "Jobs: harm of failures during whole tasks"
+QUESTION = "How much less harm does a job do if the order of its actions is chosen by harm as well?"
+HEADLINE = "harm per executed job"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "src/graceful_plan/job",
+    "sim/failbench/job_validation.py",
+    "benchmarks/jobs",
+)
+STORE = Path(__file__).resolve().parents[1] / "job_runs"
+W = 1.0
+"""Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
+VARIANTS, LONG_VARIANTS = 3, 6
+FAILURES = 400
+FIRST, EIGHT = 3.0, 10.0
+LONGER = 0.15
+MEASURED = f"""\
+Five jobs of `benchmarks/jobs`, each as it is and with drawn poses (objects by up to {100 * SHIFT:g} cm, goals by up to
+{100 * GOAL_SHIFT:g} cm) and severities (times or divided by up to {FACTOR:g}). w = {W:g}. Five ways to plan each:
+
+- "{OURS}": `plan_job` at w, with all actions.
+- "{BLIND}": `plan_job` at w = 0: order and motions know nothing of harm.
+- "{BLIND_ORDER}": the order found at w = 0, without lids and clearing, motions planned at w. Compared with "{OURS}",
+  this isolates the choice of the sequence.
+- "{NEAREST}", "{FRAGILE}": the order of a hand that always takes the nearest object, and by severity; motions at w.
+
+Each search plans the same number of actions. FailBench executes every job with {FAILURES} failures of the gripper
+(failure, weak grip, stuck), uniform over the time of the job. Harm per job: failures come per hour. "x less": harm over
+that of "{OURS}".
+"""
+
+
+def run(options: suite.Options) -> str:
+    """Measure the variants that are left, and report on all."""
+    count, failures = options.pick(VARIANTS, quick=1, long=LONG_VARIANTS), options.pick(FAILURES, quick=20)
+    names = ("order",) if options.quick else tuple(KINDS)
+    wanted = [Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in names]
+    until = time.monotonic() + (options.seconds or float("inf"))
+    with store.folder_of(options, STORE) as folder:
+        file = folder / "jobs.jsonl"
+        have = {Run(**one.run) for one in _read(file)}
+        todo = [one for one in wanted if one not in have]
+        store.fill(file, todo, measure, processes=options.processes, label="jobs", until=until)
+        found = [one for one in _read(file) if Run(**one.run) in wanted]
+    if not found:
+        raise report.NotMeasured("no variant was finished in time")
+    eight = (np.nan, np.nan) if options.quick else first_plan(eight_objects(), W)
+    found.sort(key=lambda one: (list(KINDS).index(one.run["job"]), one.run["number"]))
+    return "\n".join(
+        [
+            MEASURED,
+            f"{len(found)} of {len(wanted)} variants were measured.\n",
+            report.targets(_targets(found, eight)),
+            "Harm per executed job, relative to that of ours, with the duration in brackets:\n",
+            report.table(("job", *METHODS, "interval of ours"), (_harm_row(one) for one in found)),
+            "Sequences:\n",
+            report.table(("job", OURS, BLIND_ORDER), (_sequence_row(one) for one in found), numbers=False),
+            "Predicted impact (sum of P S over the job) and motion cost, and times of the search:\n",
+            report.table(_COST_HEADER, (_cost_row(one) for one in found)),
+        ]
+    )
+
+
+def _read(file: Path) -> list[Measured]:
+    found = []
+    for line in store.read_lines(file):
+        one = Measured(**line)
+        one.ways = {name: Way(**way) for name, way in line["ways"].items()}
+        found.append(one)
+    return found
+
+
+def less(one: Measured, method: str) -> float:
+    """Return the harm per job of a method over that of ours; NaN if either was not measured or both are 0."""
+    mine, theirs = one.ways[OURS].harm, one.ways[method].harm
+    return theirs / mine if mine > 0.0 else np.nan
+
+
+def longer(one: Measured, method: str) -> float:
+    """Return the duration of ours over that of a method."""
+    return one.ways[OURS].duration / one.ways[method].duration
+
+
+def _targets(found: Sequence[Measured], eight: tuple[float, float]) -> Iterator[report.Target]:
+    for method, wanted in ((BLIND_ORDER, 1.5), (BLIND, None), (NEAREST, None), (FRAGILE, None)):
+        ratio = float(np.nanmedian([less(one, method) for one in found]))
+        time_ratio = float(np.nanmedian([longer(one, method) for one in found])) - 1.0
+        met = None if not np.isfinite(ratio) else wanted is None or (ratio >= wanted and time_ratio <= LONGER)
+        yield report.Target(
+            what=f'{HEADLINE}, ours against "{method}", median',
+            wanted="-" if wanted is None else f"{wanted:g} x less, <= {100 * LONGER:g} % longer",
+            measured=f"{report.quantity(ratio)} x less, {100 * time_ratio:+.1f} %",
+            met=met,
+        )
+    changed = [one for one in found if one.ways[OURS].steps != one.ways[BLIND_ORDER].steps]
+    ratio = float(np.median([less(one, BLIND_ORDER) for one in changed])) if changed else np.nan
+    time_ratio = float(np.median([longer(one, BLIND_ORDER) for one in changed])) - 1.0 if changed else np.nan
+    yield report.Target(
+        what=f"the same over the {len(changed)} variants whose sequence differs",
+        wanted="1.5 x less",
+        measured=f"{report.quantity(ratio)} x less, {100 * time_ratio:+.1f} %",
+        met=ratio >= 1.5 if np.isfinite(ratio) else None,
+    )
+    small = [one for one in found if np.isfinite(one.least)]
+    yield report.all_done(
+        "jobs in which exhaustive search finds nothing cheaper",
+        sum(one.found <= one.least * (1.0 + 1e-9) for one in small),
+        len(small),
+    )
+    worst = max(one.first_seconds for one in found)
+    yield report.Target(
+        what="time to a first complete plan, at most 3 objects, worst",
+        wanted=f"<= {FIRST:g} s",
+        measured=f"{worst:.1f} s ({max(one.first_cpu for one in found):.1f} s of processor time)",
+        met=worst <= FIRST,
+    )
+    yield report.Target(
+        what="time to a first complete plan, 8 objects",
+        wanted=f"<= {EIGHT:g} s",
+        measured=f"{report.quantity(eight[0])} s ({report.quantity(eight[1])} s of processor time)",
+        met=eight[0] <= EIGHT if np.isfinite(eight[0]) else None,
+    )
+    solved = sum(way.status == "SOLVED" and not way.refused for one in found for way in one.ways.values())
+    yield report.all_done("jobs that are planned and executed", solved, sum(len(one.ways) for one in found))
+
+
+def _harm_row(one: Measured) -> Sequence[object]:
+    ours = one.ways[OURS]
+    cells = [f"{report.quantity(ours.harm)} ({ours.duration:.1f} s)"]
+    for method in METHODS[1:]:
+        way = one.ways[method]
+        cells.append(f"{report.quantity(less(one, method))} ({way.duration:.1f} s)" if not way.refused else "refused")
+    return (_name(one), *cells, f"{report.quantity(ours.low)} to {report.quantity(ours.high)}")
+
+
+def _sequence_row(one: Measured) -> Sequence[object]:
+    return _name(one), *(", ".join(one.ways[method].steps) or one.ways[method].status for method in (OURS, BLIND_ORDER))
+
+
+_COST_HEADER = (
+    "job",
+    "impact, ours",
+    "order of w = 0",
+    "motion, ours [rad]",
+    "order of w = 0",
+    "first plan [s]",
+    "grasps",
+    "stances",
+    "checks",
+    "plan()",
+    "rest",
+)
+
+
+def _cost_row(one: Measured) -> Sequence[object]:
+    ours, theirs = one.ways[OURS], one.ways[BLIND_ORDER]
+    total = one.shares["total_time"]
+    parts = [one.shares[name] / total for name in ("grasps", "stances", "checks", "plan")]
+    return (
+        _name(one),
+        *(report.quantity(x) for x in (ours.impact, theirs.impact, ours.motion, theirs.motion)),
+        f"{one.first_seconds:.1f}",
+        *(report.percent(share, 0) for share in (*parts, 1.0 - sum(parts))),
+    )
+
+
+def _name(one: Measured) -> str:
+    return f"{one.run['job']} {one.run['number']}"

@@ -1,0 +1,75 @@
+"""Job files: what they say is what the job asks for, and errors name file and line."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from order_jobs import JOBS
+
+import graceful_plan as gp
+from graceful_plan.exceptions import SceneError
+
+GOOD = """\
+version: 1
+scene: lid.yaml
+goals:
+  kettle: {at: [0.5, 0.3, 0.4]}
+  laptop: {onto: table, n: 2}
+allow:
+  - {clear: lid, in_region: [[0.3, 0.2, 0.3], [0.7, 0.5, 0.5]], n: 3}
+  - {close_lid: lid, vessel: kettle}
+  - {load: laptop, onto: table}
+  - {wait: 8, price: 0.5}
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    for name in ("lid.xml", "lid.yaml"):
+        shutil.copy(JOBS / name, folder / name)
+    file = folder / "task.yaml"
+    file.write_text(text)
+    return file
+
+
+def test_a_file_asks_for_what_it_says(tmp_path: Path) -> None:
+    job = gp.load_job(written(tmp_path, GOOD))
+    assert set(job.goals) == {"kettle", "laptop"}
+    at = job.goals["kettle"].at
+    assert at is not None
+    np.testing.assert_allclose(at[:3, 3], [0.5, 0.3, 0.4])
+    assert (job.goals["laptop"].on, job.goals["laptop"].n) == ("table", 2)
+    clear, close, load, wait = job.allowed
+    assert isinstance(clear, gp.Clear) and (clear.name, clear.n) == ("lid", 3)
+    assert isinstance(close, gp.CloseLid) and (close.vessel, close.lid) == ("kettle", "lid")
+    assert isinstance(load, gp.Load) and load.on == "table"
+    assert isinstance(wait, gp.Wait) and (wait.max_seconds, wait.price) == (8.0, 0.5)
+
+
+def test_a_bundled_scene_is_named(tmp_path: Path) -> None:
+    text = "version: 1\nscene: dining_table\ngoals: {bottle: {onto: table}}\n"
+    assert gp.load_job(written(tmp_path, text)).scene.name == "dining_table"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "names"),
+    [
+        ("kettle: {at", "vase: {at", 4, "kettle"),
+        ("[0.5, 0.3, 0.4]", "[0.5, 0.3]", 4, "3"),
+        ("[0.3, 0.2, 0.3]", "[0.3, 0.2]", 7, "length"),
+        ("n: 2", "n: 1.5", 5, "whole"),
+        ("onto: table, n", "above: table, n", 5, "in_region"),
+        ("wait: 8", "jump: 8", 10, "wait"),
+        ("wait: 8", "wait: -1", 10, "max_seconds"),
+        ("lid.yaml", "../lid.yaml", 2, "folder"),
+        ("lid.yaml", "attic", 2, "dining_table"),
+        ("version: 1", "version: 2", 1, "version"),
+    ],
+)
+def test_errors_name_file_and_line(tmp_path: Path, old: str, new: str, line: int, names: str) -> None:
+    file = written(tmp_path, GOOD.replace(old, new, 1))
+    with pytest.raises(SceneError, match=names) as raised:
+        gp.load_job(file)
+    assert f"task.yaml:{line}: " in str(raised.value)
