@@ -23,6 +23,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.departure import search_with_moving_entities
 from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of, start_onto
+from graceful_plan.query.candidates.goal_choice import GoalChoice
 from graceful_plan.query.candidates.motions import Motion, along, timed_curve, with_cost
 from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, subsampled
@@ -39,6 +40,8 @@ _RELATED_SHARE, _RELATED_ALONE_SHARE = 0.65, 0.1
 """Share of a round for motions of a related objective; the second one if the full objective has no descents."""
 _RELATED_KEPT = 2
 """Motions of a related objective that serve as starts of descents along the full one."""
+_GOALS_SHARE = 0.15
+"""Share of a round for quick motions to each of several goals."""
 _STARTS = 5
 """Paths of a search that serve as starts of descents."""
 _WORTH_TIMING = 1.1
@@ -74,6 +77,10 @@ class MotionSource:
         self._screened: list[DescentResult] | None = [] if request.candidates > 1 else None
         onward = None if request.takeover is None else request.takeover.onward
         self._onward = [] if onward is None else [start_onto(onward, ends)]
+        self._rounds = 0
+        self._goals: GoalChoice | None = None
+        if len(problem.goals) > 1 and self.restarts:
+            self._goals = GoalChoice(request, problem, lambda of, to: MotionSource(of, ends, to, rng, tell))
         self._related: MotionSource | None = None
         related = proxy_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:
@@ -126,7 +133,15 @@ class MotionSource:
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
         """Yield motions of one round; motions from descents only if ranked before the best-known one."""
+        self._rounds += 1
         starts: list[Start] = []
+        if self._goals is not None:
+            share = _GOALS_SHARE
+            with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
+                for motion in self._goals.motions(part, best):
+                    best = min(best, motion.ranking)
+                    starts.append(start_along(motion.path, motion.arrival, self._ends))
+                    yield motion
         if self._related is not None:
             share = _RELATED_SHARE if self._descents is not None else _RELATED_ALONE_SHARE
             with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
@@ -135,7 +150,7 @@ class MotionSource:
                 starts.append(start_along(motion.path, motion.arrival, self._ends))
                 yield with_cost(motion, self._request)
         if self._related is None or not isinstance(self._request.objective.objective.impact, ImpactCost):
-            found = self._search(budget, starts[0].path if starts else None)
+            found = self._search(budget, starts[0].path if starts and self._related is not None else None, best)
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
             paths = found.paths[-1:] if self._shortens else _spread(found.paths)
@@ -163,6 +178,8 @@ class MotionSource:
         starts = [start for start in starts if start.path.length > 0.0]
         for result in descend_from(starts, self._descents, budget, self._rng, self._results, self._screened):
             self._results.append(result)
+            if self._goals is not None:
+                self._goals.reach(result.start.arrival, result.value)
             if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
                 motion = timed_curve(result, self._request)
                 if motion is not None and motion.ranking < best:
@@ -177,7 +194,7 @@ class MotionSource:
             except RetimingError:
                 continue
 
-    def _search(self, budget: Budget, initial: Path | None) -> Search:
+    def _search(self, budget: Budget, initial: Path | None, best: float) -> Search:
         """Search for paths in a share of the budget, from an initial path if one is given."""
         request, problem, planner = self._request, self._problem, self._request.planner
         if request.preference is not None or request.objective.scene.moving:
@@ -189,15 +206,24 @@ class MotionSource:
         if self._continues and self._shortens and budget.timed:
             self._continues = False
             return run.found  # a descent shortens the first path faster than the search would
-        if not self._continues or initial is not None:
-            if initial is not None and isinstance(planner, Auto) and planner.initial is None:
-                planner = replace(planner, initial=initial)
-            run = PausedSearch(planner, problem, request.objective, self._rng.spawn(1)[0])
+        if initial is not None and isinstance(planner, Auto) and planner.initial is None:
+            planner = replace(planner, initial=initial)
+        problems = [problem] if self._goals is None else self._goals.problems(best)
+        if self._shortens:
+            problems = [problems[self._rounds % len(problems)]]
+        runs = [run]
+        if not self._continues or initial is not None or len(problems[0].goals) < len(problem.goals):
+            runs = [PausedSearch(planner, one, request.objective, self._rng.spawn(1)[0]) for one in problems]
         self._continues = False
-        share = 1.0 if self._descents is None else _SEARCH_SHARE
-        with budget.share(share * budget.remaining_seconds) as part:
-            run.advance(part, None if self._request.refine else self._tell)
-        return run.found
+        share = (1.0 if self._descents is None else _SEARCH_SHARE) / len(runs)
+        seconds, iterations = share * budget.remaining_seconds, budget.remaining_iterations / len(runs)
+        for run in runs:
+            with budget.share(seconds, iterations) as part:
+                run.advance(part, None if self._request.refine else self._tell)
+        found = runs[0].found
+        for other in runs[1:]:
+            found = replace(found, paths=[*other.found.paths[-1:], *found.paths])
+        return found
 
 
 def _spread(paths: list[Path]) -> list[Path]:
