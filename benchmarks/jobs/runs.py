@@ -29,6 +29,8 @@ OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
 METHODS = (OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE)
 ACTIONS, GRASPS = 20, 3
 """Planned actions of a search, and grasps of each object to choose from."""
+SPEED = 0.8
+"""Fraction of the velocity limits: at full speed, the simulated arm lags by just more than FailBench allows."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
 DEGREE = "severe"
 
@@ -104,7 +106,7 @@ def planned(one: Variant, w: float, seed: int) -> dict[str, JobResult]:
     """Plan a variant in all ways; ways with the same order share a result."""
 
     def plan(job: gp.Job, weight: float) -> JobResult:
-        return gp.plan_job(job, weight, grasps=GRASPS, iterations=ACTIONS, seed=seed)
+        return gp.plan_job(job, weight, grasps=GRASPS, iterations=ACTIONS, seed=seed, speed=SPEED)
 
     ours, blind = plan(one.job(), w), plan(one.job(), 0.0)
     bare = plan(one.job(extras=False), w)
@@ -158,7 +160,7 @@ def fragile_last(one: Variant) -> tuple[str, ...]:
 
 
 def _search(one: Variant, w: float, *, grasps: int) -> SequenceSearch:
-    return JobSession(one.job(), gp.Objective(w=w), grasps=grasps).search()
+    return JobSession(one.job(), gp.Objective(w=w), grasps=grasps, speed=SPEED).search()
 
 
 def _executed(result: JobResult, run: Run) -> Way:

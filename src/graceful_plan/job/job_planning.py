@@ -22,7 +22,13 @@ from graceful_plan.job.placing import lid_pose, placements, support_of
 from graceful_plan.job.reasons import reasons
 from graceful_plan.job.search import Node, SequenceSearch
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.arguments import checked_cancelled, checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.arguments import (
+    checked_cancelled,
+    checked_objective,
+    checked_seed,
+    checked_speed,
+    checked_time_limit,
+)
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import start_configuration
 from graceful_plan.result import CostBreakdown, TracePoint
@@ -57,6 +63,7 @@ def plan_job(
     time_limit: float | None = None,
     iterations: int | None = None,
     seed: int = 0,
+    speed: float = 1.0,
     cancelled: Callable[[], bool] | None = None,
 ) -> JobResult:
     """Plan a whole task so that a failure at any moment of it does little harm.
@@ -73,6 +80,7 @@ def plan_job(
         time_limit: Time limit [s]; 20 by default, unlimited if `iterations` is given.
         iterations: Number of actions to plan. Without a time limit, the result then depends only on the seed.
         seed: Seed of all random numbers.
+        speed: Fraction of the velocity limits to use, as in `plan`.
         cancelled: As in `plan`.
 
     Returns:
@@ -88,9 +96,10 @@ def plan_job(
         raise SettingError("job", job, "a job with a goal: place()")
     checked_seed(seed)
     limit = DEFAULT_TIME_LIMIT if time_limit is None and iterations is None else time_limit
-    return JobSession(job, checked_objective(objective, w), grasps=grasps, seed=seed, start=start).answer(
-        limit, iterations, cancelled, ()
+    session = JobSession(
+        job, checked_objective(objective, w), grasps=grasps, seed=seed, speed=checked_speed(speed), start=start
     )
+    return session.answer(limit, iterations, cancelled, ())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,9 +116,16 @@ class JobSession:
     """The choices of a job, sampled once, with all planned motions."""
 
     def __init__(
-        self, job: Job, objective: Objective, *, grasps: int, seed: int = 0, start: Configuration | None = None
+        self,
+        job: Job,
+        objective: Objective,
+        *,
+        grasps: int,
+        seed: int = 0,
+        speed: float = 1.0,
+        start: Configuration | None = None,
     ) -> None:
-        self._job, self._objective, self._n, self._seed = job, objective, grasps, seed
+        self._job, self._objective, self._n, self._seed, self._speed = job, objective, grasps, seed, speed
         q = start_configuration(_default_start(job.scene) if start is None else start, job.scene)
         self._state = JobState(world=job.scene, q=q)
 
@@ -235,6 +251,7 @@ class JobSession:
             n_grasps=self._n,
             q_home=self._state.q,
             seed=self._seed,
+            speed=self._speed,
         )
         return _Choices(goals=goals, actions=tuple(actions), motions=motions)
 

@@ -104,6 +104,7 @@ class Motions:
         n_grasps: Number of grasps to sample of each.
         q_home: Configuration near which stances are sought.
         seed: Seed of all random numbers.
+        speed: Fraction of the velocity limits to use.
         limited: Whether motions get little time instead of few iterations.
         hurried: Whether they get less time still, because no sequence is complete yet.
         left: Time that is left of the job's time limit [s].
@@ -117,6 +118,7 @@ class Motions:
     n_grasps: int
     q_home: Float[Array, " nq"]
     seed: int = 0
+    speed: float = 1.0
     limited: bool = False
     hurried: bool = False
     left: Callable[[], float] = lambda: np.inf
@@ -197,7 +199,7 @@ class Motions:
             above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
             if not len(self._solved(above, held, q)):
                 continue
-            result = plan_cartesian(q, above, held, objective=self.objective)
+            result = plan_cartesian(q, above, held, objective=self.objective, speed=self.speed)
             up, why = result.trajectory, result.detail
             if result.status is PlanStatus.SOLVED and up is not None:
                 break
@@ -211,7 +213,7 @@ class Motions:
         away = PoseGoal.from_tool(q, opened, translation=-_BACK * way)
         if not len(self._solved(away, opened, q)):
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: out of reach")
-        back = plan_cartesian(q, away, opened, objective=self.objective)
+        back = plan_cartesian(q, away, opened, objective=self.objective, speed=self.speed)
         if back.status is not PlanStatus.SOLVED:
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
         return _stance(q, up, back.unwrap())
@@ -308,7 +310,16 @@ class Motions:
         seed: int | None = None,
     ) -> PlanResult:
         seed = self.seed if seed is None else seed
-        return plan(start, goal, scene, objective=self.objective, seed=seed, cancelled=self.cancelled, **effort)
+        return plan(
+            start,
+            goal,
+            scene,
+            objective=self.objective,
+            speed=self.speed,
+            seed=seed,
+            cancelled=self.cancelled,
+            **effort,
+        )
 
     def carried(
         self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey

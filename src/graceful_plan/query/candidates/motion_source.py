@@ -79,12 +79,12 @@ class MotionSource:
         self._onward = [] if onward is None else [start_onto(onward, ends)]
         self._rounds = 0
         self._goals: GoalChoice | None = None
-        if len(problem.goals) > 1 and self.restarts:
-            self._goals = GoalChoice(request, problem, lambda of, to: MotionSource(of, ends, to, rng, tell))
         self._related: MotionSource | None = None
         related = proxy_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:
             self._related = MotionSource(replace(request, objective=related), ends, problem, rng, tell)
+        elif len(problem.goals) > 1 and self.restarts:
+            self._goals = GoalChoice(request, problem, lambda of, to: MotionSource(of, ends, to, rng, tell))
 
     @property
     def restarts(self) -> bool:
@@ -150,7 +150,7 @@ class MotionSource:
                 starts.append(start_along(motion.path, motion.arrival, self._ends))
                 yield with_cost(motion, self._request)
         if self._related is None or not isinstance(self._request.objective.objective.impact, ImpactCost):
-            found = self._search(budget, starts[0].path if starts and self._related is not None else None, best)
+            found = self._search(budget, starts[0].path if self._related is not None and starts else None, best)
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
             paths = found.paths[-1:] if self._shortens else _spread(found.paths)
