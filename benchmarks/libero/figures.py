@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.events import FIGURES, Events
-from benchmarks.libero.runs import ENERGY, ENERGY_1, MODELS, NONE, OBJECTIVES, OURS, PARTS, PUBLISHED, Done, Motion
+from benchmarks.libero.runs import ENERGY, HEAVY, MODELS, NONE, OBJECTIVES, OURS, PARTS, PUBLISHED, Done, Motion
 from benchmarks.prevention.harm_curves import Typical, floored, typical
 from failbench.calibrations import skill
 
@@ -191,7 +191,7 @@ def parts_table(heads: Sequence[Done]) -> str:
     """Return the mean harm of a drop by part, and the sum of w = 0 over that of each motion."""
     rows = []
     for by in (CONTACT, BY_ENERGY):
-        for label in (NONE, OURS, ENERGY, ENERGY_1, best_published(heads)):
+        for label in (NONE, OURS, HEAVY, ENERGY, best_published(heads)):
             motions = [done.motions[label] for done in heads if not done.motions[label].refused]
             means = [float(np.mean([getattr(motion, by)[part] for motion in motions])) for part in PARTS]
             rows.append((

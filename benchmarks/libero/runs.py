@@ -27,14 +27,14 @@ Array = np.ndarray
 
 SEED, SPEED = 2026, 0.5
 """Seed of plans and drops; fraction of the velocity limits."""
-NONE, OURS, ENERGY, ENERGY_1 = "w = 0", "default", "by energy", "by energy, w = 1"
+NONE, OURS, HEAVY, ENERGY = "w = 0", "default", "w = 10", "by energy"
 _PUBLISHED, _BY_ENERGY = gp.ImpactCost(model="box_overlap"), gp.ImpactCost(consequence="energy")
 OBJECTIVES: Mapping[str, gp.Objective] = MappingProxyType(
     {
         NONE: gp.Objective(w=0.0),
         OURS: gp.Objective(impact=gp.ImpactCost(consequence="contact")),
+        HEAVY: gp.Objective(impact=gp.ImpactCost(consequence="contact"), w=10.0),
         ENERGY: gp.Objective(impact=_BY_ENERGY),
-        ENERGY_1: gp.Objective(impact=_BY_ENERGY, w=1.0),
         **{f"Algorithm 1, w = {w:g}": gp.Objective(impact=_PUBLISHED, w=w) for w in (0.3, 3.0)},
     }
 )
