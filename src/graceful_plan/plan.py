@@ -124,7 +124,7 @@ def plan(
             spheres do not prove that the state is free.
         stoppable: Whether to plan stops along the motion, too: `result.stops`, one every 0.1 s. The check "stops" of
             the verdict warns where none keeps the constraints and ends before the motion does; see `plan_stops`. The
-            stops are planned after the time limit, in about 20 ms each, with an open vessel 60 ms.
+            stops are planned after the time limit, in about 10 ms each, with an open vessel 30 ms.
         callback: Called with the first path at its estimated cost, then with every better verified motion; without
             `refine`, with better paths, too. Once it returns True, the call ends with a verified motion.
         cancelled: Called every few milliseconds, e.g. `threading.Event().is_set`. Once it returns True, the call ends
