@@ -29,8 +29,8 @@ OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
 METHODS = (OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE)
 ACTIONS, GRASPS = 20, 3
 """Planned actions of a search, and grasps of each object to choose from."""
-SPEED = 0.8
-"""Fraction of the velocity limits: at full speed, the simulated arm lags by just more than FailBench allows."""
+SPEED = 0.5
+"""Fraction of the velocity limits: near full speed, the simulated arm lags by just more than FailBench allows."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
 DEGREE = "severe"
 

@@ -77,6 +77,13 @@ def test_severities_can_be_replaced(scene):
     assert scene.with_moving(person()).with_severity({"adult": 3.0}).moving_severity["person"]["body"] == 3.0
 
 
+def test_without_moving_entities_their_severities_go_and_others_stay(scene):
+    still = scene.with_moving(person()).with_severity({"person": 4.0, "adult": 3.0, "table": 2.0}).without_moving()
+    assert not still.moving_severity
+    assert still.entities["table"].severity["body"] == 2.0
+    assert still.with_moving(person()).moving_severity["person"]["body"] == 3.0
+
+
 def test_a_new_prediction_replaces_the_old_one(scene):
     twice = scene.with_moving(person()).with_moving(person(t=[5.0, 7.0]))
     assert list(twice.moving) == ["person"]

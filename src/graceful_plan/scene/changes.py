@@ -199,11 +199,13 @@ class SceneChanges(SceneAssembly):
         return self._among({**self.notes.moving, **given})
 
     def without_moving(self) -> Self:
-        """Return this scene without moving entities."""
-        return self._among({})
+        """Return this scene without moving entities and the severities that were set for them."""
+        moving = self.notes.moving
+        kept = {name: value for name, value in self.notes.overrides.items() if name not in moving}
+        return self._among({}, overrides=MappingProxyType(kept))
 
-    def _among(self, moving: Mapping[str, MovingEntity]) -> Self:
-        notes = replace(self.notes, moving=MappingProxyType(moving))
+    def _among(self, moving: Mapping[str, MovingEntity], **changes: object) -> Self:
+        notes = replace(self.notes, moving=MappingProxyType(moving), **changes)
         severity = roles.moving_severities(self.shapes, notes, self.components)
         scene = replace(self, notes=notes, moving_severity=severity)
         # Moving entities are not in collision checks, so these caches survive the frequent updates of predictions.
