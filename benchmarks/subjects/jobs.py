@@ -57,7 +57,8 @@ Five jobs of `benchmarks/jobs`, each as it is and with drawn poses (objects by u
 
 Each search plans the same number of actions. FailBench executes every job with {FAILURES} failures of the gripper
 (failure, weak grip, stuck), uniform over the time of the job. Harm per job: failures come per hour. "x less": harm over
-that of "{OURS}".
+that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation; in `person`, since it moves into the
+guest, who pushes it aside. "None": no sequence was found over the sampled grasps and places.
 """
 
 
@@ -140,11 +141,12 @@ def _targets(found: Sequence[Measured], eight: tuple[float, float]) -> Iterator[
         sum(one.found <= one.least * (1.0 + 1e-9) for one in small),
         len(small),
     )
-    worst = max(one.first_seconds for one in found)
+    planned = [one for one in found if np.isfinite(one.first_seconds)]
+    worst = max((one.first_seconds for one in planned), default=np.inf)
     yield report.Target(
-        what="time to a first complete plan, at most 3 objects, worst",
+        what=f"time to a first complete plan, at most 3 objects, worst of the {len(planned)} that have one in 60 s",
         wanted=f"<= {FIRST:g} s",
-        measured=f"{worst:.1f} s ({max(one.first_cpu for one in found):.1f} s of processor time)",
+        measured=f"{worst:.1f} s ({max((one.first_cpu for one in planned), default=np.inf):.1f} s of processor time)",
         met=worst <= FIRST,
     )
     yield report.Target(
@@ -157,12 +159,18 @@ def _targets(found: Sequence[Measured], eight: tuple[float, float]) -> Iterator[
     yield report.all_done("jobs that are planned and executed", solved, sum(len(one.ways) for one in found))
 
 
+def _cell(one: Measured, method: str) -> str:
+    way = one.ways[method]
+    if way.status != "SOLVED":
+        return "none"
+    harm = way.harm if method == OURS else less(one, method)
+    return f"{'refused' if way.refused else report.quantity(harm)} ({way.duration:.1f} s)"
+
+
 def _harm_row(one: Measured) -> Sequence[object]:
     ours = one.ways[OURS]
-    cells = [f"{report.quantity(ours.harm)} ({ours.duration:.1f} s)"]
-    for method in METHODS[1:]:
-        way = one.ways[method]
-        cells.append(f"{report.quantity(less(one, method))} ({way.duration:.1f} s)" if not way.refused else "refused")
+    cells = [_cell(one, OURS)]
+    cells += [_cell(one, method) for method in METHODS[1:]]
     return (_name(one), *cells, f"{report.quantity(ours.low)} to {report.quantity(ours.high)}")
 
 
