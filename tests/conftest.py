@@ -50,6 +50,11 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def pytest_unconfigure() -> None:
+    """Let Python free the modules at its exit, or nanobind reports what they hold as leaks."""
+    gc.unfreeze()
+
+
 def pytest_sessionstart() -> None:
     """Read each bundled scene once per process: scenes are immutable and keep their compiled arrays."""
     from graceful_plan.scene.loading import bundled  # here, after the shape checks are configured
