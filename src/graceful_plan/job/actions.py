@@ -144,6 +144,22 @@ class Transport(Action):
         return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=arrived)
 
 
+class _ByTransport(Action):
+    """An action whose motions are those of a transport."""
+
+    @abstractmethod
+    def _transport(self, state: JobState) -> Transport:
+        """Return the transport in a state."""
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the bound of the transport."""
+        return self._transport(state).bound(state, choice, motions)
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Carry the object."""
+        return self._transport(state).motion(state, choice, motions)
+
+
 @final
 @dataclass(frozen=True)
 class Clear:
@@ -200,7 +216,7 @@ class Load:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Loading(Action):
+class Loading(_ByTransport):
     """Put an object on a tray, unless it has arrived at its goal or the tray has been carried already."""
 
     name: str
@@ -210,28 +226,19 @@ class Loading(Action):
     """Pose of the tray before it is carried."""
     goals: Sequence[Transport]
 
-    @property
-    def _transport(self) -> Transport:
+    def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, (self.slot,), "load", self.tray)
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield grasps."""
         arrived = any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
         if not arrived and pose_key(state.pose(self.tray)) == self.start:
-            yield from self._transport.candidates(state, motions)
-
-    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
-        """Return the bound of carrying the object."""
-        return self._transport.bound(state, choice, motions)
-
-    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
-        """Carry the object."""
-        return self._transport.motion(state, choice, motions)
+            yield from self._transport(state).candidates(state, motions)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Hauling(Action):
+class Hauling(_ByTransport):
     """Carry a tray with something on it, once."""
 
     name: str
@@ -240,27 +247,18 @@ class Hauling(Action):
     start: PoseKey
     """Pose of the tray before it is carried."""
 
-    @property
-    def _transport(self) -> Transport:
+    def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, self.to, "carry", slots=self.slots)
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield grasps and placements."""
         if pose_key(state.pose(self.name)) == self.start and state.on(self.name, self.slots):
-            yield from self._transport.candidates(state, motions)
-
-    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
-        """Return the bound of carrying the tray."""
-        return self._transport.bound(state, choice, motions)
-
-    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
-        """Carry the tray."""
-        return self._transport.motion(state, choice, motions)
+            yield from self._transport(state).candidates(state, motions)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Clearing(Action):
+class Clearing(_ByTransport):
     """Put an object out of the way, unless it has arrived at its goal or was put away before.
 
     Args:
@@ -273,27 +271,18 @@ class Clearing(Action):
     to: tuple[PoseKey, ...]
     goals: Sequence[Transport]
 
-    @property
-    def _transport(self) -> Transport:
+    def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, self.to, "clear")
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield grasps and placements."""
         if not any(goal.name == self.name and goal.is_done(state) for goal in self.goals):
-            yield from self._transport.candidates(state, motions)
-
-    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
-        """Return the bound of carrying it."""
-        return self._transport.bound(state, choice, motions)
-
-    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
-        """Carry it."""
-        return self._transport.motion(state, choice, motions)
+            yield from self._transport(state).candidates(state, motions)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Closing(Action):
+class Closing(_ByTransport):
     """Put a lid on a vessel where it stands."""
 
     name: str
@@ -308,13 +297,9 @@ class Closing(Action):
         if ("joined", self.name) not in state.facts:
             yield from self._transport(state).candidates(state, motions)
 
-    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
-        """Return the bound of carrying the lid."""
-        return self._transport(state).bound(state, choice, motions)
-
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Carry the lid to the vessel; both are one object afterwards."""
-        deed = self._transport(state).motion(state, choice, motions)
+        deed = super().motion(state, choice, motions)
         if isinstance(deed, Refusal):
             return deed
         then = deed.state.joined(self.vessel, self.name).emptied(self.vessel)
