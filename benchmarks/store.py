@@ -14,6 +14,13 @@ from typing import Any
 from benchmarks import suite
 
 
+def tasks_left(file: Path, tasks: Sequence[str], options: suite.Options) -> list[str]:
+    """Return the chosen tasks without a line in a file; only the first task in a quick run."""
+    have = {line["task"] for line in read_lines(file)}
+    chosen = suite.chosen(tasks[:1] if options.quick else tasks, options.tasks)
+    return [name for name in chosen if name not in have]
+
+
 def read_lines(file: Path) -> Iterator[dict[str, Any]]:
     """Yield the documents of a file; nothing if it does not exist, and no incomplete last line."""
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []

@@ -17,7 +17,7 @@ import failbench as fb
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.prevention.runs import NONE, SEED, kinds, least_severity
-from benchmarks.store import read_lines
+from benchmarks.store import read_lines, tasks_left
 from failbench import ExecutionRefused, SimSettings
 from failbench.basics.statistics import Estimate, cluster_bootstrap
 
@@ -187,9 +187,7 @@ def bound_sizes(options: suite.Options) -> Mapping[str, tuple[int, int]]:
 
 def bound_jobs(file: Path, options: suite.Options) -> list[BoundJob]:
     """Return the jobs that are left."""
-    have = {line["task"] for line in read_lines(file)}
-    names = suite.chosen(TASKS[:1] if options.quick else TASKS, options.tasks)
-    return [BoundJob(task=name, sizes=bound_sizes(options)) for name in names if name not in have]
+    return [BoundJob(task=name, sizes=bound_sizes(options)) for name in tasks_left(file, TASKS, options)]
 
 
 def read_bounds(file: Path) -> list[Bound]:

@@ -14,7 +14,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.prevention.bound import SECONDS, SPEED, TASKS
 from benchmarks.prevention.runs import SEED
-from benchmarks.store import read_lines
+from benchmarks.store import read_lines, tasks_left
 from failbench import ExecutionRefused, SimSettings
 from failbench.basics.statistics import cluster_bootstrap
 
@@ -111,9 +111,9 @@ def do_choice(job: ChoiceJob) -> Choice:
 
 def choice_jobs(file: Path, options: suite.Options) -> list[ChoiceJob]:
     """Return the jobs that are left."""
-    have = {line["task"] for line in read_lines(file)}
-    names = suite.chosen(TASKS[:1] if options.quick else TASKS, options.tasks)
-    return [ChoiceJob(task=name, held_out=options.pick(HELD_OUT, quick=19)) for name in names if name not in have]
+    return [
+        ChoiceJob(task=name, held_out=options.pick(HELD_OUT, quick=19)) for name in tasks_left(file, TASKS, options)
+    ]
 
 
 def read_choices(file: Path) -> list[Choice]:

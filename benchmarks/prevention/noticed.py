@@ -12,7 +12,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.prevention.bound import SECONDS, SPEED
 from benchmarks.prevention.runs import SEED
-from benchmarks.store import read_lines
+from benchmarks.store import read_lines, tasks_left
 from failbench.basics.statistics import cluster_bootstrap
 from failbench.policies import OpenLoop, PolicySettings, StopOnFailure, evaluate, policy_task
 from failbench.validation import predicted_impact
@@ -95,9 +95,9 @@ def do_noticed(job: NoticedJob) -> Noticed:
 
 def noticed_jobs(file: Path, options: suite.Options) -> list[NoticedJob]:
     """Return the jobs that are left."""
-    have = {line["task"] for line in read_lines(file)}
-    names = suite.chosen(TASKS[:1] if options.quick else TASKS, options.tasks)
-    return [NoticedJob(task=name, episodes=options.pick(EPISODES, quick=1)) for name in names if name not in have]
+    return [
+        NoticedJob(task=name, episodes=options.pick(EPISODES, quick=1)) for name in tasks_left(file, TASKS, options)
+    ]
 
 
 def read_noticed(file: Path) -> list[Noticed]:
