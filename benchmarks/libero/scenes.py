@@ -1,7 +1,7 @@
 """Transports in exported scenes of LIBERO: classes by name, a grasp, and the place where the object is put down.
 
-Nothing of a scene is changed except that the floor gets a body of its own, so that it can be an entity, and that
-geoms that do not collide are left out.
+Scenes are unchanged except that the floor becomes a body, so that it can be an entity, and that geoms that do not
+collide are left out.
 """
 
 from __future__ import annotations

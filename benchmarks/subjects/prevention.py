@@ -76,7 +76,7 @@ per task from the lower envelope over the weights, including w = 0, and interpol
 def run(options: suite.Options) -> str:
     """Do the jobs that are left, and report on all finished ones; a long run adds the curves and their picture.
 
-    With `options.bound`, measure what the best of many motions prevents instead.
+    With `options.bound`, measure the harm that the best of many motions prevents instead.
     """
     if options.bound:
         return _bound(options)
