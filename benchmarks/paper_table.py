@@ -304,9 +304,9 @@ def _about_costs(rows: Sequence[Row], paper: Sequence[Row]) -> str:
         from another inverse kinematics. T3's via point is known by elimination only, and its motion cost does not
         reproduce ({third:+.0f} %). Safety as coded: within {off:.1f} % of the published ({worst.name} is worst); with
         boxes that are not softened it would be {_listed(paper, lambda row: f"{row.hard:.3f}")}. It judges the empty
-        hand at four configurations, so it sees neither the object that is dropped nor what lies between the stops. By
+        hand at four configurations, so it sees neither the dropped object nor the entities between the stops. By
         the paper's own total, {best.name} is best ({best.motion + best.safety:.2f}). Ours is Algorithm 1 on
-        the carried object averaged over time: severity per failure, the unit of what is observed. With failures spread
+        the carried object averaged over time: severity per failure, the unit of the observations. With failures spread
         over the phases as in the experiment it is {_listed(rows, lambda row: f"{row.expected:.2f}")}.
         """
 
@@ -318,14 +318,14 @@ def _about_observations(rows: Sequence[Row], paper: Sequence[Row]) -> str:
     return f"""
         OBS, as the paper describes it: {RUNS} runs of each trajectory, in each a failure with a probability of
         {report.percent(FAILURE_SHARE, 0)} at a uniform time, the mean over all runs ("paper's protocol"). In the long
-        run that is {report.percent(FAILURE_SHARE, 0)} of what a failure costs. In their log it is a mean over few
+        run that is {report.percent(FAILURE_SHARE, 0)} of the harm of a failure. In their log it is a mean over few
         episodes, a third of which has no drop; the failure comes at a random waypoint, in the phase before the via
-        point in 30 % of them; it counts what the object touches first. If their waypoints
+        point in 30 % of them; it counts the first entity that the object touches. If their waypoints
         are the three vertices of each phase, failures happen at the stops alone, and half of them above the target,
         whose severity is 0: so computed ("at stops", one drop at each) it is
         {_listed(paper, lambda row: f"{row.at_stops:.2f}")}, beside
         {_listed(paper, lambda row: f"{PUBLISHED[row.name].observed:g}")}. Ours are given a failure, which happens at
-        any time of a phase alike, so the object also falls on what lies between the stops and flies on at the robot's
+        any time of a phase alike, so the object also falls on entities between the stops and flies on at the robot's
         speed. "First touch" is the paper's definition, "all touched" ours: everything touched within a second.
         Failures before and after the via point cost
         {_listed(paper, lambda row: f"{row.by_phase[0]:.1f} and {row.by_phase[1]:.1f}")}. From least to most harm:

@@ -18,7 +18,7 @@ from benchmarks.constrained.held import Held, HeldJob
 from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightFigures, UprightJob
 from benchmarks.store import read_lines
 
-TITLE = "Constraints: what is carried is kept, and planning upright"
+TITLE = "Constraints: contents and grasp are kept, and planning upright"
 QUESTION = "Do carried vessels keep their contents and fingers their object, and how much longer are these motions?"
 HEADLINE = "healthy motions that lose more than 1 % by FailBench"
 DEPENDS_ON = (

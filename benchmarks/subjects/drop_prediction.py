@@ -98,8 +98,8 @@ def run(options: suite.Options) -> str:
         report.table(_HEADER, _rows(events, dropped)),
         "By severity of the touch, all scenes:\n",
         report.table(_HEADER, _severity_rows(events)),
-        "`footprint` by motion and by what is hit:\n",
-        report.table(("scenes", "motions", "what is hit", *FIGURES), _hit_rows({VARIANTS: events, UNSEEN: unseen})),
+        "`footprint` by motion and by entity:\n",
+        report.table(("scenes", "motions", "entity", *FIGURES), _hit_rows({VARIANTS: events, UNSEEN: unseen})),
         "![](../../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
         report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, resamples)),
     ]

@@ -19,7 +19,7 @@ from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.scene.harm.fragility import FragilityTable
 
-TITLE = "Own loss: what falls do to the carried object itself, predicted and observed"
+TITLE = "Own loss: damage by falls to the carried object itself, predicted and observed"
 QUESTION = "Is the predicted damage to the dropped object itself the damage that simulated falls cause?"
 HEADLINE = "predicted over observed loss"
 DEPENDS_ON = ("src/graceful_plan/costs", "src/graceful_plan/scene", *suite.SIMULATION)
