@@ -54,7 +54,7 @@ def per_task(motion: Motion, by: str, done: Done, parts: Sequence[str] = PARTS) 
 
 
 def less(heads: Sequence[Done], label: str, by: str, parts: Sequence[str] = PARTS, base: str = NONE) -> Typical:
-    """Return harm per task of the base over that of a motion, over the tasks."""
+    """Return the typical ratio, over the tasks, of the harm of motion `base` to that of motion `label`."""
     return typical([_ratio(done, label, by, parts, base) for done in heads])
 
 

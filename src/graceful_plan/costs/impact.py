@@ -203,7 +203,7 @@ class ImpactCost(Cost):
         return model.gradients(batch, self.severity(batch.scene), self.own(batch.scene))
 
     def widened(self, metres: float) -> ImpactCost | None:
-        """Return a cost with hits blurred by a standard deviation [m], None without one; see `NativeModel.widened`."""
+        """Return the cost with hits blurred by a standard deviation [m]; None if the model does not support it."""
         model = self.interaction
         wide = model.widened(metres) if isinstance(model, NativeModel) else None
         return None if wide is None else replace(self, model=wide)

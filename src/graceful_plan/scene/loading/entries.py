@@ -1,4 +1,4 @@
-"""Entries of scene files: entities, objects, tasks, contacts and others, as notes; unknown keys are errors."""
+"""Entries of scene files (entities, objects, tasks, contacts and others) as dataclasses; unknown keys are errors."""
 
 from __future__ import annotations
 
