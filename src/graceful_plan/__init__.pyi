@@ -46,6 +46,8 @@ from graceful_plan.job.job_file import load_job as load_job
 from graceful_plan.job.job_planning import plan_job as plan_job
 from graceful_plan.job.jobs import Job as Job
 from graceful_plan.job.motions import Refusal as Refusal
+from graceful_plan.job.opening import Close as Close
+from graceful_plan.job.opening import Open as Open
 from graceful_plan.job.placing import placements as placements
 from graceful_plan.judge.verification import VerificationSettings as VerificationSettings
 from graceful_plan.judge.verification import verify as verify

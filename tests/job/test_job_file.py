@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from order_jobs import JOBS
+from places import ROOT
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError
@@ -51,6 +52,24 @@ def test_a_file_asks_for_what_it_says(tmp_path: Path) -> None:
 def test_a_bundled_scene_is_named(tmp_path: Path) -> None:
     text = "version: 1\nscene: dining_table\ngoals: {bottle: {onto: table}}\n"
     assert gp.load_job(written(tmp_path, text)).scene.name == "dining_table"
+
+
+def test_a_file_opens_and_closes_a_drawer(tmp_path: Path) -> None:
+    for name in ("drawer.xml", "drawer.yaml"):
+        shutil.copy(ROOT / "tests" / "support" / "scenes" / name, tmp_path / name)
+    file = tmp_path / "task.yaml"
+    file.write_text(
+        "version: 1\nscene: drawer.yaml\ngoals: {mug: {onto: table}}\nallow:\n"
+        "  - {open: drawer, handle: drawer_handle, to: 0.2}\n"
+        "  - {close: drawer, handle: drawer_handle, required: true}\n"
+    )
+    opening, closing = gp.load_job(file).allowed
+    assert isinstance(opening, gp.Open) and (opening.name, opening.to, opening.required) == ("drawer", 0.2, False)
+    assert isinstance(closing, gp.Close) and (closing.handle, closing.required) == ("drawer_handle", True)
+    file.write_text(file.read_text().replace("0.2", "0.9"))
+    with pytest.raises(SceneError, match="range") as raised:
+        gp.load_job(file)
+    assert "task.yaml:5: " in str(raised.value)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,10 @@ from functools import cache
 from places import ROOT
 
 import graceful_plan as gp
+from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobResult
+from graceful_plan.job.job_state import JobState
+from graceful_plan.job.motions import Motions
 from graceful_plan.scene.scene import Scene
 
 JOBS = ROOT / "benchmarks" / "jobs"
@@ -25,3 +28,9 @@ def order_job() -> gp.Job:
 @cache
 def ordered(w: float) -> JobResult:
     return gp.plan_job(order_job(), w, grasps=1, iterations=40)
+
+
+def action_state(job: gp.Job) -> tuple[JobState, Motions]:
+    """Return the state at the start of a job and its motions, to try a single action."""
+    search = JobSession(job, gp.Objective(w=0.3), grasps=3).search()
+    return search.start, search.motions

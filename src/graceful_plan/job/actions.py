@@ -20,6 +20,7 @@ from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import SAME, JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal
 from graceful_plan.path import is_real
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
@@ -59,6 +60,14 @@ class Action(ABC):
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
         """Return a lower bound of the cost; 0 by default."""
         return 0.0
+
+    def is_due(self, state: JobState) -> bool:
+        """Tell whether the job cannot end in a state because this action has to come first; False by default."""
+        return False
+
+    def check(self, scene: Scene) -> None:
+        """Raise an error if the action does not fit the scene of a job; `Job.allow` calls it."""
+        return
 
 
 @dataclass(frozen=True)

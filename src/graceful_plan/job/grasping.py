@@ -130,6 +130,26 @@ def sampled_grasps(scene: Scene, name: str, *, seed: int = 0) -> Iterator[Grasp]
             yield Grasp(X_TO=candidate.X_TO, fingers=fingers, opening=opening, approach=approach, quality=quality)
 
 
+def handle_grasps(scene: Scene, body: str, handle: str, *, seed: int = 0) -> Iterator[Grasp]:
+    """Yield grasps of a handle, relative to the body to which it is fixed: antipodal ones, as in `grasps`.
+
+    Whether the pads hold it against the friction of a joint is unknown, so the quality is NaN.
+
+    Args:
+        scene: A scene with an empty gripper.
+        body: Body of a door, a drawer or the like.
+        handle: Geom of that body, or a body that is fixed to it.
+        seed: As in `grasps`.
+    """
+    thing, gripper = _Thing(scene, body), find_gripper(scene)
+    thing.grasped = frozenset(scene.geoms_named(handle)) & thing.grasped
+    thing.underside = -np.inf  # a door stands on nothing
+    chosen = [X[:3, 3] for geom, X in zip(thing.geoms, thing.X_OG, strict=True) if geom in thing.grasped]
+    thing.centre = np.mean(chosen, axis=0)
+    for one in _in_turns(_contacts(thing, gripper, checked_seed(seed)), thing, gripper):
+        yield Grasp(X_TO=one.X_TO, fingers=gripper.fingers(one.width), opening=one.opening, approach=one.approach)
+
+
 def declared_grasp(scene: Scene, name: str) -> Grasp | None:
     """Return the grasp that the scene declares for an object; None if it declares none."""
     note = scene.notes.objects.get(name)
@@ -160,6 +180,10 @@ class _Thing(Placed):
         super().__init__(scene, body)
         R_WO, p_WO = self.X_WO[:3, :3], self.X_WO[:3, 3]
         self.up = R_WO[2].copy()
+        of = self.model.geom_bodyid
+        loose = {geom for geom in self.geoms if self.model.body(of[geom]).name.endswith(JOINED)}
+        self.grasped = frozenset(self.geoms) - loose
+        """Geoms between the pads of a grasp."""
         self.centre = R_WO.T @ (self.data.subtree_com[self.body] - p_WO)
         self.underside = min(
             float(self.up @ (X[:3, 3] + X[:3, :3] @ self.model.geom_aabb[g, :3]))
@@ -196,7 +220,7 @@ def _contacts(
     """
     model = thing.model
     for k, (geom, X_OG) in enumerate(zip(thing.geoms, thing.X_OG, strict=True)):
-        if model.body(model.geom_bodyid[geom]).name.endswith(JOINED):
+        if geom not in thing.grasped:
             continue
         kind, size = int(model.geom_type[geom]), model.geom_size[geom]
         R, p = X_OG[:3, :3], X_OG[:3, 3]

@@ -9,6 +9,8 @@ allow:
   - {clear: laptop, onto: side_table}
   - {close_lid: lid, vessel: kettle}
   - {load: tray, onto: side_table}
+  - {open: drawer, handle: drawer_handle, to: 0.25}
+  - {close: drawer, handle: drawer_handle, required: true}
   - {wait: 8}                      # longest wait at a time [s]; price: per second
 """
 
@@ -22,6 +24,7 @@ from typing import Any
 from graceful_plan.exceptions import GracefulPlanError, SceneError, names_file
 from graceful_plan.job.actions import Action, Clear, CloseLid, Load, Wait
 from graceful_plan.job.jobs import Job
+from graceful_plan.job.opening import Close, Open
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.yaml_file import Block, read_yaml
@@ -62,7 +65,14 @@ def _scene(block: Block, file: Path) -> str | Path:
 
 
 def _action(block: Block) -> Clear | CloseLid | Load | Action:
-    kinds = {"clear": _clear, "close_lid": _close_lid, "load": _load, "wait": _wait}
+    kinds = {
+        "clear": _clear,
+        "close_lid": _close_lid,
+        "load": _load,
+        "open": _open,
+        "close": _close,
+        "wait": _wait,
+    }
     named = [kind for kind in kinds if block.get(kind) is not None]
     if len(named) != 1:
         raise block.error(f"{block.name} needs one of the keys {', '.join(kinds)}")
@@ -82,6 +92,19 @@ def _load(block: Block) -> Load:
 def _close_lid(block: Block) -> CloseLid:
     block.only("close_lid", "vessel", "X_VL")
     return CloseLid(block["vessel"].string(), block["close_lid"].string(), **_given(block, X_VL=_rows))
+
+
+def _open(block: Block) -> Open:
+    return Open(block["open"].string(), block["handle"].string(), **_of_joint(block, "open"))
+
+
+def _close(block: Block) -> Close:
+    return Close(block["close"].string(), block["handle"].string(), **_of_joint(block, "close"))
+
+
+def _of_joint(block: Block, kind: str) -> dict[str, Any]:
+    block.only(kind, "handle", "to", "required")
+    return _given(block, to=Block.number, required=Block.flag)
 
 
 def _wait(block: Block) -> Wait:

@@ -10,6 +10,9 @@ from graceful_plan.exceptions import GracefulPlanError, SettingError
 from graceful_plan.job.motions import JobMotion
 from graceful_plan.result import CostBreakdown, TracePoint
 
+_STAY = ("pick", "wait", "open", "close", "pour")
+"""Kinds of steps that put no object down elsewhere."""
+
 
 class JobStatus(Enum):
     """Outcome of `plan_job`; each value is a sentence with a remedy."""
@@ -32,7 +35,8 @@ class JobFailed(GracefulPlanError, RuntimeError):
 class Step:
     """A step of a job.
 
-    Its kind is "pick", "place", "clear", "close_lid", "load", "carry" (a tray), "wait" or that of an own action.
+    Its kind is "pick", "place", "clear", "close_lid", "load", "carry" (a tray), "wait", "open", "close", "pour" or that
+    of an own action.
 
     | field  | meaning                                                   |
     |--------|-----------------------------------------------------------|
@@ -84,7 +88,7 @@ class JobResult:
     @property
     def order(self) -> tuple[str, ...]:
         """Names of the objects in the order in which they are put down."""
-        return tuple(step.name for step in self.steps if step.kind not in ("pick", "wait"))
+        return tuple(step.name for step in self.steps if step.kind not in _STAY)
 
     @property
     def duration(self) -> float:

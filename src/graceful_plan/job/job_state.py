@@ -21,6 +21,7 @@ from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
 from graceful_plan.scene.harm.severity import ITSELF
+from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
@@ -130,7 +131,7 @@ class JobState:
         """
         X_VL = np.linalg.inv(self.pose(onto)) @ self.pose(name)
         where = {body: X for body, X in self.where.items() if body != name}
-        return replace(self, world=_joined(self.world, onto, name, pose_key(X_VL)), where=MappingProxyType(where))
+        return replace(self, world=joined_world(self.world, onto, name, pose_key(X_VL)), where=MappingProxyType(where))
 
     def on(self, tray: str, slots: Mapping[str, PoseKey]) -> tuple[str, ...]:
         """Return which objects stand in their slots, poses relative to a tray."""
@@ -153,6 +154,21 @@ class JobState:
             where=MappingProxyType(where),
             facts=self.facts | {("joined", name) for name in riders},
         )
+
+    def with_joint(self, joint: str, position: float, along: tuple[str, ...] = ()) -> JobState:
+        """Return the state with a joint of the surroundings elsewhere, and bodies moved along with its part.
+
+        Args:
+            joint: A hinge or slide that is not planned, such as that of a drawer.
+            position: Its position [rad or m].
+            along: Bodies that stand on or in the part.
+        """
+        part = self.world.model.body(int(self.world.model.joint(joint).bodyid[0])).name
+        then = replace(self, world=_with_joint(self.world, joint, position))
+        X_WW = _initial_pose(then.world, part) @ np.linalg.inv(_initial_pose(self.world, part))
+        for name in along:
+            then = then.moved(name, X_WW @ self.pose(name))
+        return then
 
     def emptied(self, name: str) -> JobState:
         """Return the state in which nothing can leave an object: it is closed or empty."""
@@ -214,12 +230,23 @@ def _loose_geoms(scene: Scene) -> list[str]:
 
 
 @per_scene
-def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
+def _with_joint(world: Scene, joint: str, position: float) -> Scene:
+    return world.with_state({joint: position})
+
+
+@per_scene
+def joined_world(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
+    """Return the scene in which a body without its joints is a part of another, at a pose relative to it."""
     spec, quaternion = world.spec.copy(), np.empty(4)
     X = pose_of(X_VL)
     mujoco.mju_mat2Quat(quaternion, X[:3, :3].ravel())
     spec.copy_during_attach = True
     lid = spec.body(name)
+    model = world.model
+    parts = subtree(model, model.body(name).id)
+    named = {model.body(b).name for b in parts}
+    named |= {model.geom(g).name for g in range(model.ngeom) if int(model.geom_bodyid[g]) in parts}
+    gone = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in parts}
     for joint in list(lid.joints):
         spec.delete(joint)
     for k, geom in enumerate(lid.geoms):
@@ -227,14 +254,21 @@ def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
     lid.pos, lid.quat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     frame = spec.body(onto).add_frame(pos=X[:3, 3], quat=quaternion)
     frame.attach_body(lid, "", JOINED)
+    for exclude in list(spec.excludes):  # geoms of one body never touch each other
+        if named & {exclude.bodyname1, exclude.bodyname2}:
+            spec.delete(exclude)
     spec.delete(spec.body(name))
     notes = world.notes
     entities = {body: note for body, note in notes.entities.items() if body != name}
     objects = {label: note for label, note in notes.objects.items() if note.body != name}
     overrides = {body: value for body, value in notes.overrides.items() if body != name}
-    state = {label: value for label, value in notes.state.items() if label != name}
+    state = {label: value for label, value in notes.state.items() if label != name and label not in gone}
+    allowed = tuple(
+        replace(one, **{end: getattr(one, end) + JOINED for end in ("first", "second") if getattr(one, end) in named})
+        for one in notes.allowed
+    )
     # The keyframes are those of the notes; a spec of other bodies has none any more.
-    notes = replace(notes, entities=entities, objects=objects, overrides=overrides, state=state)
+    notes = replace(notes, entities=entities, objects=objects, overrides=overrides, state=state, allowed=allowed)
     return Scene.build(spec, notes)
 
 
@@ -246,7 +280,7 @@ def _loaded(world: Scene, tray: str, riders: tuple[tuple[str, PoseKey], ...]) ->
     lost = sum(world.attach(name, X_TO=FROM_ABOVE).own_severity for name in parts)
     scene = world
     for name, slot in riders:
-        scene = _joined(scene, tray, name, slot)
+        scene = joined_world(scene, tray, name, slot)
     carried = scene.attach(tray, X_TO=FROM_ABOVE).carried
     assert carried is not None and carried.object_class is not None
     overrides = {**scene.notes.overrides, ITSELF: {carried.object_class: lost}}

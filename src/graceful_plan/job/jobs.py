@@ -95,12 +95,14 @@ class Job:
         """Allow actions other than carrying objects to their goals; return the job."""
         for action in actions:
             if not isinstance(action, Clear | CloseLid | Load | Action):
-                raise SettingError("actions", action, "Clear, CloseLid, Load, Wait or own Actions")
+                raise SettingError("actions", action, "Clear, CloseLid, Load, Open, Close, Pour, Wait or own Actions")
             if isinstance(action, Clear | Load):
                 self._body(action.name)
             elif isinstance(action, CloseLid):
                 self._body(action.lid)
                 self._body(action.vessel)
+            else:
+                action.check(self.scene)
             self._allowed.append(action)
         return self
 

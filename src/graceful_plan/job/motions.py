@@ -59,7 +59,8 @@ _SECONDS, _HURRIED = 0.25, 0.08
 class JobMotion:
     """A motion with its scene: the carried object, and the poses of all others.
 
-    `label` is "transit", "approach", "grip", "lift", "carry", "lower", "release", "retreat" or "wait".
+    `label` is "transit", "approach", "grip", "lift", "carry", "lower", "release", "retreat", "pull", "pour" or
+    "wait".
     """
 
     label: str
@@ -152,12 +153,28 @@ class Motions:
         alone, X_WO = state.parked(self._others(state, None)).scene(), state.pose(name)
         for grasp in islice(sampled_grasps(state.world, name, seed=self.seed), _SAMPLED * self.n_grasps):
             goal = PoseGoal(grasp.tool_at(X_WO))
-            if len(self._solved(goal, alone, self.q_home)):
+            if len(self.reached(goal, alone, self.q_home)):
                 yield grasp
 
-    def _solved(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"]) -> Float[Array, "n nq"]:
+    def reached(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], count: int = 1) -> Float[Array, "n nq"]:
+        """Return configurations free of collision that bring the tool to a pose, the nearest first; possibly none."""
         free = partial(free_of_collision, scene=scene)
-        return solve_ik(goal, scene, near, free=free, count=1, rounds=2, seed=self.seed).q
+        return solve_ik(goal, scene, near, free=free, count=count, rounds=2, seed=self.seed).q
+
+    def straight(
+        self, label: str, name: str, scene: Scene, q: Float[Array, " nq"], goal: PoseGoal
+    ) -> JobMotion | Refusal:
+        """Plan a straight motion of the tool to a pose."""
+        result = plan_cartesian(q, goal, scene, objective=self.objective, speed=self.speed)
+        if result.status is PlanStatus.SOLVED and result.trajectory is not None:
+            return JobMotion(label=label, scene=scene, trajectory=result.trajectory, cost=result.cost)
+        return Refusal(name=name, why=f"{label} of {name!r}: {result.detail}", blockers=self._blockers(scene, q[None]))
+
+    def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return the value of a key, made at the first call: for motions that do not depend on where the arm is."""
+        if key not in self._known:
+            self._known[key] = make()
+        return self._known[key]
 
     def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
         """Return a configuration that holds an object at a pose; None if none is free, even without other things.
@@ -172,7 +189,7 @@ class Motions:
             near = self.q_home if now is None else now
             began = time.perf_counter()
             held = self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
-            found = self._solved(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
+            found = self.reached(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
             self._known[key] = found[0] if len(found) else None
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
@@ -197,7 +214,7 @@ class Motions:
         up, why = None, "out of reach"
         for height in _LIFTS:
             above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
-            if not len(self._solved(above, held, q)):
+            if not len(self.reached(above, held, q)):
                 continue
             result = plan_cartesian(q, above, held, objective=self.objective, speed=self.speed)
             up, why = result.trajectory, result.detail
@@ -211,7 +228,7 @@ class Motions:
             return _stance(q, up, up)
         opened = alone.parked((name,)).scene(grasp.opening)
         away = PoseGoal.from_tool(q, opened, translation=-_BACK * way)
-        if not len(self._solved(away, opened, q)):
+        if not len(self.reached(away, opened, q)):
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: out of reach")
         back = plan_cartesian(q, away, opened, objective=self.objective, speed=self.speed)
         if back.status is not PlanStatus.SOLVED:
@@ -368,10 +385,10 @@ class Motions:
 
 
 def _stance(q: Float[Array, " nq"], lift: Trajectory, back: Trajectory) -> Stance:
-    return Stance(q=q, approach=_reversed(back), lift=lift, lower=_reversed(lift), retreat=back)
+    return Stance(q=q, approach=reversed_motion(back), lift=lift, lower=reversed_motion(lift), retreat=back)
 
 
-def _reversed(motion: Trajectory) -> Trajectory:
+def reversed_motion(motion: Trajectory) -> Trajectory:
     """Return a motion backwards."""
     return Trajectory(motion.t[-1] - motion.t[::-1], motion.q[::-1], -motion.qd[::-1], motion.qdd[::-1], motion.joints)
 

@@ -154,8 +154,9 @@ class SequenceSearch:
                 yield Edge(node=node, action=action, choice=choice, bound=bound, missing=rest)
 
     def is_complete(self, state: JobState) -> bool:
-        """Tell whether all goals are met."""
-        return all(goal.is_done(state) for goal in self.goals)
+        """Tell whether all goals are met and no action is due."""
+        met = all(goal.is_done(state) for goal in self.goals)
+        return met and not any(action.is_due(state) for action in self.actions)
 
     def _expand(self, node: Node, seen: dict[object, float], improved: Callable[[Node], None]) -> None:
         if node.cost >= seen.get(node.state.key, float("inf")):

@@ -8,13 +8,14 @@ attractors of the others are random.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, steps_inside, tool_jacobian, without_yaw
-from graceful_plan.query.cartesian.line import ToolLine
+from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -38,6 +39,33 @@ _PULLS = (0.3, 1.0, 3.0)
 """Gains of the drift towards the attractors: over a line, the distance decays by the exponential of the gain."""
 
 
+@runtime_checkable
+class ToolPath(Protocol):
+    """A path of the tool, such as a `ToolLine`."""
+
+    @property
+    def goal(self) -> PoseGoal:
+        """Pose at the end; with free yaw only the tool's z axis counts all along."""
+        ...
+
+    @property
+    def length(self) -> float:
+        """Distance that the tool's origin travels [m]."""
+        ...
+
+    @property
+    def angle(self) -> float:
+        """Angle of the tool's rotation [rad]."""
+        ...
+
+    def poses(self, share: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
+        """Return the pose of the tool in W at shares of the path, 0 to 1."""
+        ...
+
+
+PathT = TypeVar("PathT", bound=ToolPath)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
     """Candidates that follow a line.
@@ -55,19 +83,19 @@ class Followed:
 
 
 @dataclass(frozen=True, eq=False)
-class Follower:
-    """Follows one line with an arm.
+class Follower(Generic[PathT]):
+    """Follows one line, or another path of the tool, with an arm.
 
     Args:
         scene: Scene with robot and limits.
         kernels: Kernels of the scene.
-        line: Line of the tool.
-        start: Configuration at the start of the line.
+        line: Path of the tool.
+        start: Configuration at the start of the path.
     """
 
     scene: Scene
     kernels: Kernels
-    line: ToolLine
+    line: PathT
     start: Float[Array, " nq"]
 
     @property

@@ -150,7 +150,7 @@ class _Query:
 
     objective: SceneObjective
     held: SceneConstraints
-    follower: Follower
+    follower: Follower[ToolLine]
     bounds: tuple[float, float]
     """Bounds of distance [m] and angle [rad]."""
     speed: float
