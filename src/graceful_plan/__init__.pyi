@@ -49,6 +49,7 @@ from graceful_plan.job.motions import Refusal as Refusal
 from graceful_plan.job.opening import Close as Close
 from graceful_plan.job.opening import Open as Open
 from graceful_plan.job.placing import placements as placements
+from graceful_plan.job.pouring import Pour as Pour
 from graceful_plan.judge.verification import VerificationSettings as VerificationSettings
 from graceful_plan.judge.verification import verify as verify
 from graceful_plan.mobile.control.dwa import DWA as DWA

@@ -54,6 +54,17 @@ def test_a_bundled_scene_is_named(tmp_path: Path) -> None:
     assert gp.load_job(written(tmp_path, text)).scene.name == "dining_table"
 
 
+def test_a_file_pours(tmp_path: Path) -> None:
+    for name in ("pour.xml", "pour.yaml"):
+        shutil.copy(ROOT / "tests" / "support" / "scenes" / name, tmp_path / name)
+    file = tmp_path / "task.yaml"
+    file.write_text(
+        "version: 1\nscene: pour.yaml\ngoals: {kettle: {onto: table}}\nallow: [{pour: kettle, into: pot, fill: 0.3}]\n"
+    )
+    (pour,) = gp.load_job(file).allowed
+    assert isinstance(pour, gp.Pour) and (pour.name, pour.into, pour.fill) == ("kettle", "pot", 0.3)
+
+
 def test_a_file_opens_and_closes_a_drawer(tmp_path: Path) -> None:
     for name in ("drawer.xml", "drawer.yaml"):
         shutil.copy(ROOT / "tests" / "support" / "scenes" / name, tmp_path / name)

@@ -203,7 +203,7 @@ def test_a_closed_lid_is_part_of_the_vessel_and_keeps_the_contents() -> None:
     state = JobState(world=scene, q=scene.keyframes["ready"])
     on_top = state.pose("kettle").copy()
     on_top[2, 3] += 0.12
-    closed = state.moved("lid", on_top).joined("kettle", "lid").emptied("kettle")
+    closed = state.moved("lid", on_top).joined("kettle", "lid").with_contents("kettle", None)
     model = closed.world.model
     assert model.body_subtreemass[model.body("kettle").id] == pytest.approx(0.93)
     assert "lid" not in closed.world.entities and "kettle" in closed.world.entities

@@ -44,6 +44,11 @@ class Action(ABC):
     name: str
     """The object that it is about."""
 
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Objects that it lifts; none by default. They may touch what they stand on, and are cleared for questions."""
+        return ()
+
     @abstractmethod
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield the choices with which the action is possible in a state, as far as that is known without planning.
@@ -311,7 +316,7 @@ class Closing(_ByTransport):
         deed = super().motion(state, choice, motions)
         if isinstance(deed, Refusal):
             return deed
-        then = deed.state.joined(self.vessel, self.name).emptied(self.vessel)
+        then = deed.state.joined(self.vessel, self.name).with_contents(self.vessel, None)
         return Deed(steps=deed.steps, state=then.knowing("joined", self.name))
 
 

@@ -11,6 +11,7 @@ allow:
   - {load: tray, onto: side_table}
   - {open: drawer, handle: drawer_handle, to: 0.25}
   - {close: drawer, handle: drawer_handle, required: true}
+  - {pour: kettle, into: pot, fill: 0.2}
   - {wait: 8}                      # longest wait at a time [s]; price: per second
 """
 
@@ -25,6 +26,7 @@ from graceful_plan.exceptions import GracefulPlanError, SceneError, names_file
 from graceful_plan.job.actions import Action, Clear, CloseLid, Load, Wait
 from graceful_plan.job.jobs import Job
 from graceful_plan.job.opening import Close, Open
+from graceful_plan.job.pouring import Pour
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.yaml_file import Block, read_yaml
@@ -71,6 +73,7 @@ def _action(block: Block) -> Clear | CloseLid | Load | Action:
         "load": _load,
         "open": _open,
         "close": _close,
+        "pour": _pour,
         "wait": _wait,
     }
     named = [kind for kind in kinds if block.get(kind) is not None]
@@ -105,6 +108,11 @@ def _close(block: Block) -> Close:
 def _of_joint(block: Block, kind: str) -> dict[str, Any]:
     block.only(kind, "handle", "to", "required")
     return _given(block, to=Block.number, required=Block.flag)
+
+
+def _pour(block: Block) -> Pour:
+    block.only("pour", "into", "fill")
+    return Pour(block["pour"].string(), block["into"].string(), **_given(block, fill=Block.number))
 
 
 def _wait(block: Block) -> Wait:

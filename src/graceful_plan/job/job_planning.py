@@ -200,6 +200,7 @@ class JobSession:
         for action in job.allowed:
             movable |= {action.name} if isinstance(action, Clear | Load) else set()
             movable |= {action.lid, action.vessel} if isinstance(action, CloseLid) else set()
+            movable |= set(action.moves) if isinstance(action, Action) else set()
         names = tuple(sorted(movable))
         empty = self._state.parked(names)
         supports = {name: {support} if (support := support_of(scene, name)) else set() for name in names}

@@ -20,6 +20,7 @@ from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
+from graceful_plan.scene.elements import Contents, ObjectNote
 from graceful_plan.scene.harm.severity import ITSELF
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_scene
@@ -170,10 +171,12 @@ class JobState:
             then = then.moved(name, X_WW @ self.pose(name))
         return then
 
-    def emptied(self, name: str) -> JobState:
-        """Return the state in which nothing can leave an object: it is closed or empty."""
+    def with_contents(self, name: str, contents: Contents | None) -> JobState:
+        """Return the state in which an object has other contents; with None, nothing can leave it."""
         note = self.world.notes.objects.get(name)
-        return self if note is None or note.contents is None else replace(self, world=_emptied(self.world, name))
+        if contents == (None if note is None else note.contents):
+            return self
+        return replace(self, world=_with_contents(self.world, name, contents))
 
 
 @per_scene(most=_KEPT)
@@ -289,7 +292,8 @@ def _loaded(world: Scene, tray: str, riders: tuple[tuple[str, PoseKey], ...]) ->
     return Scene.assemble(scene.posed, replace(scene.notes, overrides=overrides))
 
 
-@per_scene
-def _emptied(world: Scene, name: str) -> Scene:
-    objects = {**world.notes.objects, name: replace(world.notes.objects[name], contents=None)}
+@per_scene(most=_KEPT)
+def _with_contents(world: Scene, name: str, contents: Contents | None) -> Scene:
+    note = world.notes.objects.get(name, ObjectNote(body=name))
+    objects = {**world.notes.objects, name: replace(note, contents=contents)}
     return Scene.assemble(world.posed, replace(world.notes, objects=objects))
