@@ -47,8 +47,8 @@ class Job:
         self.scene = checked_scene(scene)
         if scene.carried is not None:
             raise SettingError("scene", scene.carried.body, "an empty gripper: detach() it, or put it down first")
-        if scene.base is not None:
-            raise SettingError("scene", scene.name, "a scene of an arm without a base")
+        if scene.base is not None and len(scene.joints) == len(scene.base.joints):
+            raise SettingError("scene", scene.name, "a scene of a robot with an arm")
         self._goals: dict[str, Where] = {}
         self._grasps: dict[str, tuple[Grasp, ...]] = {}
         self._allowed: list[object] = []

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -23,12 +22,10 @@ from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
+from graceful_plan.job.still_base import reached_poses, straight_arm_motion
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.verification import verify
 from graceful_plan.plan import plan
-from graceful_plan.query.cartesian.straight import plan_cartesian
-from graceful_plan.query.endpoints.ik import solve_ik
-from graceful_plan.query.endpoints.usable import free_of_collision
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus
 from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -131,7 +128,7 @@ class Motions:
     _worlds: dict[int, Scene] = field(default_factory=dict)
 
     def length(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> float:
-        """Return a lower bound of the cost of any motion between configurations."""
+        """Return a lower bound of the cost of any motion between configurations; of a mobile robot, 0."""
         return float(np.linalg.norm(goal - start)) if self.objective.motion == JointLength() else 0.0
 
     def grasps(self, state: JobState, name: str) -> tuple[Grasp, ...]:
@@ -158,14 +155,14 @@ class Motions:
 
     def reached(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], count: int = 1) -> Float[Array, "n nq"]:
         """Return configurations free of collision that bring the tool to a pose, the nearest first; possibly none."""
-        free = partial(free_of_collision, scene=scene)
-        return solve_ik(goal, scene, near, free=free, count=count, rounds=2, seed=self.seed).q
+        stop = self.cancelled or (lambda: False)
+        return reached_poses(goal, scene, near, count=count, seed=self.seed, cancelled=stop)
 
     def straight(
         self, label: str, name: str, scene: Scene, q: Float[Array, " nq"], goal: PoseGoal
     ) -> JobMotion | Refusal:
         """Plan a straight motion of the tool to a pose."""
-        result = plan_cartesian(q, goal, scene, objective=self.objective, speed=self.speed)
+        result = straight_arm_motion(q, goal, scene, objective=self.objective, speed=self.speed)
         if result.status is PlanStatus.SOLVED and result.trajectory is not None:
             return JobMotion(label=label, scene=scene, trajectory=result.trajectory, cost=result.cost)
         return Refusal(name=name, why=f"{label} of {name!r}: {result.detail}", blockers=self._blockers(scene, q[None]))
@@ -216,7 +213,7 @@ class Motions:
             above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
             if not len(self.reached(above, held, q)):
                 continue
-            result = plan_cartesian(q, above, held, objective=self.objective, speed=self.speed)
+            result = straight_arm_motion(q, above, held, objective=self.objective, speed=self.speed)
             up, why = result.trajectory, result.detail
             if result.status is PlanStatus.SOLVED and up is not None:
                 break
@@ -230,7 +227,7 @@ class Motions:
         away = PoseGoal.from_tool(q, opened, translation=-_BACK * way)
         if not len(self.reached(away, opened, q)):
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: out of reach")
-        back = plan_cartesian(q, away, opened, objective=self.objective, speed=self.speed)
+        back = straight_arm_motion(q, away, opened, objective=self.objective, speed=self.speed)
         if back.status is not PlanStatus.SOLVED:
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
         return _stance(q, up, back.unwrap())
