@@ -128,7 +128,7 @@ class Motions:
     _worlds: dict[int, Scene] = field(default_factory=dict)
 
     def length(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> float:
-        """Return a lower bound of the cost of any motion between configurations; of a mobile robot, 0."""
+        """Return a lower bound of the cost of any motion between configurations."""
         return float(np.linalg.norm(goal - start)) if self.objective.motion == JointLength() else 0.0
 
     def grasps(self, state: JobState, name: str) -> tuple[Grasp, ...]:

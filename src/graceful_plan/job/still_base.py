@@ -1,6 +1,6 @@
 """Motions of the arm of a mobile robot while its base stands still: an approach, a lift, a path of a handle.
 
-They are planned in a scene in which only the joints of the arm are planned, and returned with those of the base at rest.
+They are planned in a scene in which only the joints of the arm are planned. The base is at rest in what is returned.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from graceful_plan.path import Path
 from graceful_plan.query.cartesian.straight import plan_cartesian
 from graceful_plan.query.endpoints.base_goals import base_goals
 from graceful_plan.query.endpoints.ik import solve_ik
+from graceful_plan.query.endpoints.pose_solver import PoseSolver
 from graceful_plan.query.endpoints.usable import free_of_collision
 from graceful_plan.result import PlanResult
 from graceful_plan.scene.per_scene import per_scene
@@ -27,7 +29,9 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _RAISED = 0.1
-"""Height above a pose at which the place of the base is sought [m]: nearer to a table, the fast checker sees contact."""
+"""Height above a pose at which the place of the base is sought [m]: beyond contact in the model of spheres."""
+_SEEDS, _SPREAD, _ITERATIONS = 16, 0.3, 40
+"""Arm configurations from which a pose is sought with the base at rest, their spread [rad or m], and iterations."""
 _KEPT = 16
 """Scenes with the base at one place that are cached per scene."""
 
@@ -66,23 +70,28 @@ def reached_poses(
     A base stays where it is if the arm reaches the pose from there. Otherwise it goes to places from which the arm
     reaches a pose above this one.
     """
-    n = base_joints(scene)
-
-    def by_arm(q: Float[Array, " nq"]) -> Float[Array, "n nq"]:
-        alone = arm_alone(scene, q)
-        free = partial(free_of_collision, scene=alone)
-        found = solve_ik(goal, alone, q[n:], free=free, count=count, rounds=2, seed=seed).q
-        return np.hstack([np.tile(q[:n], (len(found), 1)), found])
-
+    free = partial(free_of_collision, scene=scene)
     bases = base_goals(scene)
-    found = by_arm(near)
-    if bases is None or len(found):
-        return found
+    if bases is None:
+        return solve_ik(goal, scene, near, free=free, count=count, rounds=2, seed=seed).q
+    if len(found := _by_arm(goal, scene, near, seed)):
+        return found[:count]
     above = goal.X_WT.copy()
     above[2, 3] += _RAISED
-    free = partial(free_of_collision, scene=scene)
     places = bases.reaching(replace(goal, X_WT=above), scene, near, free=free, seed=seed, cancelled=cancelled).q
-    return np.concatenate([found, *(by_arm(q)[:1] for q in places)])[:count]
+    arms = (row for q in places for row in _by_arm(goal, scene, q, seed)[:1])
+    return np.array(list(islice(arms, count))).reshape(-1, len(near))
+
+
+def _by_arm(goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], seed: int) -> Float[Array, "n nq"]:
+    """Return configurations with the base as in one, the nearest to it first."""
+    n, rng = base_joints(scene), np.random.default_rng(seed)
+    seeds = np.tile(near, (_SEEDS, 1))
+    seeds[1:, n:] += rng.normal(0.0, _SPREAD, (_SEEDS - 1, len(near) - n))
+    lower, upper = scene.limits.position.T
+    found, _ = PoseSolver(goal, scene).search(np.clip(seeds, lower, upper), _ITERATIONS, slice(0, n))
+    found = found[free_of_collision(found, scene)] if len(found) else found
+    return found[np.argsort(np.linalg.norm(found - near, axis=1), kind="stable")]
 
 
 def with_base(motion: Trajectory, scene: Scene, q: Float[Array, " nq"]) -> Trajectory:

@@ -14,6 +14,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.tool_motion import missing_twist, rotation_matrix
 from graceful_plan.exceptions import RetimingError
+from graceful_plan.job.still_base import arm_alone, base_joints, with_base
 from graceful_plan.query.cartesian.following import Follower
 from graceful_plan.query.cartesian.straight import ANGLE, DEVIATION
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -79,7 +80,7 @@ class JointPath:
 def along_joint(
     q: Float[Array, " nq"], path: JointPath, scene: Scene, *, speed: float = 1.0, seed: int = 0
 ) -> Trajectory | str:
-    """Move an arm such that its tool follows a path.
+    """Move an arm such that its tool follows a path; a base stands still.
 
     Args:
         q: Configuration at the start of the path.
@@ -92,8 +93,11 @@ def along_joint(
         A trajectory that keeps to the path up to `DEVIATION` and `ANGLE`, at the least number of points in collision by
         the fast checker; or why the arm cannot follow. It is not verified.
     """
-    held = SceneConstraints(scene, default_constraints(scene))
-    found = Follower(scene, held.kernels, path, q).follow(_CANDIDATES, np.random.default_rng(seed))
+    alone = arm_alone(scene, q)
+    held = SceneConstraints(alone, default_constraints(alone))
+    found = Follower(alone, held.kernels, path, q[base_joints(scene) :]).follow(
+        _CANDIDATES, np.random.default_rng(seed)
+    )
     if found.why:
         return f"the arm is {found.why}"
     n, points, nq = found.q.shape
@@ -108,7 +112,7 @@ def along_joint(
             why = "the arm moves too suddenly to keep the tool on its path"
             continue
         try:
-            return held.timed(curve, speed=speed)
+            return with_base(held.timed(curve, speed=speed), scene, q)
         except RetimingError as error:
             why = str(error)
     return why
