@@ -114,3 +114,22 @@ def test_a_job_opens_a_drawer_takes_what_is_in_it_and_closes_it() -> None:
     np.testing.assert_allclose(data.body("mug").xpos, MUG, atol=1e-6)
     validated = fb.validate_job(result, ["drop/*/severe", "collapse/*/severe"], n=2)
     assert {motion.label for motion in validated.motions} >= {"pull", "carry"}
+
+
+@pytest.mark.long
+def test_an_object_is_put_into_a_drawer_and_the_drawer_is_closed() -> None:
+    room = scene().edit(move={"mug": MUG})
+    opening = gp.Open("drawer", handle="drawer_handle")
+    closing = gp.Close("drawer", handle="drawer_handle", required=True)
+    stowing = (
+        gp.Job(room)
+        .place("mug", on="drawer", in_region=[[0.3, -0.25, 0.2], [0.48, 0.05, 0.3]], n=3)
+        .allow(opening, closing)
+    )
+    result = gp.plan_job(stowing, 0.3, grasps=3, iterations=12)
+    assert [step.kind for step in result.unwrap()] == ["open", "pick", "place", "close"]
+    last = result.steps[-1].pieces[-1]
+    data = last.scene.data_at(last.trajectory.q[-1])
+    inside = data.body("mug").xpos - data.body("drawer").xpos
+    assert data.joint("drawer").qpos[0] == pytest.approx(0.0)
+    assert np.all(np.abs(inside[:2]) < 0.15) and inside[2] == pytest.approx(0.01, abs=2e-3)

@@ -18,6 +18,7 @@ from graceful_plan.job.job_result import JobResult, JobStatus, Step
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.jobs import Job, Where
 from graceful_plan.job.motions import JobMotion, Motions, added
+from graceful_plan.job.opening import opened_for
 from graceful_plan.job.placing import lid_pose, placements, support_of
 from graceful_plan.job.reasons import reasons
 from graceful_plan.job.search import Node, SequenceSearch
@@ -211,6 +212,14 @@ class JobSession:
                 slot = slots[goal.on].get(name)
                 supports[name] |= {goal.on}
                 goals.append(Transport(name, () if slot is None else (slot,), onto=goal.on))
+                continue
+            if goal.on is not None and (opened := opened_for(goal.on, job.allowed, self._state)) is not None:
+                X_BW = np.linalg.inv(opened.pose(goal.on))
+                found = placements(
+                    opened.scene(), name, on=goal.on, in_region=goal.in_region, n=goal.n, seed=self._seed
+                )
+                supports[name] |= {goal.on}
+                goals.append(Transport(name, tuple(pose_key(X_BW @ X) for X in found), onto=goal.on))
                 continue
             to = self._places(name, goal, empty)
             supports[name] |= self._under(name, to)

@@ -11,7 +11,7 @@ Frames: W world, T tool, L link of the tool, B body of the moving part.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -105,7 +105,7 @@ class _ByHandle(Action):
         """Return grasps of the handle that the arm reaches at both ends of its path."""
 
         def reached() -> tuple[tuple[Grasp, ...], JobState]:
-            part, then = _Part.of(state.world, self.name), self._moved(state)
+            part, then = _Part.of(state.world, self.name), self.moved(state)
             ends = [(one, one.scene().pose(state.q, part.body)) for one in (state, then)]
             sampled = handle_grasps(state.world, part.body, self.handle, seed=motions.seed)
             given = iter(self.grasps) if self.grasps else islice(sampled, _SAMPLED * motions.n_grasps)
@@ -122,7 +122,7 @@ class _ByHandle(Action):
         key = ("handle", self._kind, self.name, self.handle, *state.surroundings)
         return motions.once(key, reached)[0]
 
-    def _moved(self, state: JobState) -> JobState:
+    def moved(self, state: JobState) -> JobState:
         """Return the state with the joint elsewhere, and everything in its part."""
         part = _Part.of(state.world, self.name)
         return state.with_joint(self.name, self.position(state.world), _things_in(state, part))
@@ -145,7 +145,7 @@ class _ByHandle(Action):
     def _pulled(self, state: JobState, grasp: Grasp, motions: Motions) -> tuple[list[JobMotion], JobState] | Refusal:
         """Return the pieces from the approach to the retreat, and the state with the joint moved."""
         refusal = Refusal(name=self.name, why=f"the arm reaches no grasp of the handle of {self.name!r}")
-        then = self._moved(state)
+        then = self.moved(state)
         for follows in _followed(state, _Part.of(state.world, self.name), grasp, self.position(state.world), motions):
             if isinstance(follows, str):
                 refusal = Refusal(name=self.name, why=f"the hand cannot follow the handle of {self.name!r}: {follows}")
@@ -210,6 +210,16 @@ class Close(_ByHandle):
 
     def _default(self, low: float, high: float) -> float:
         return min(max(0.0, low), high)
+
+
+def opened_for(body: str, actions: Iterable[object], state: JobState) -> JobState | None:
+    """Return the state in which the part with a body is opened by one of some actions; None if none opens it."""
+    for action in actions:
+        if isinstance(action, Open):
+            part = _Part.of(state.world, action.name)
+            if body in {part.scene.model.body(b).name for b in part.bodies}:
+                return action.moved(state)
+    return None
 
 
 def _followed(state: JobState, part: _Part, grasp: Grasp, to: float, motions: Motions) -> Iterator[Trajectory | str]:
@@ -333,10 +343,8 @@ def _in_hand(state: JobState, part: _Part, grasp: Grasp) -> Scene:
 
 
 def _closed(world: Scene, grasp: Grasp) -> tuple[tuple[str, float], ...]:
-    """Return the positions of the fingers that hold the handle."""
-    if grasp.fingers is None or not isinstance(grasp.fingers, dict):
-        return ()
-    return tuple(sorted(grasp.fingers.items()))
+    """Return the positions of the fingers that hold the handle, by joint; none leave them as in the scene."""
+    return tuple(sorted(grasp.fingers.items())) if isinstance(grasp.fingers, Mapping) else ()
 
 
 @per_scene

@@ -11,9 +11,11 @@ from graceful_plan.job.search import SequenceSearch
 
 
 def reasons(search: SequenceSearch) -> str:
-    """Return why the goals of a search without a result cannot be met, one sentence for each."""
+    """Return why the goals of a search without a result cannot be met, and why other actions failed."""
     told = [why for goal in search.goals if not goal.is_done(search.start) and (why := _reason(goal, search))]
-    return "; ".join([*told, *_cycle(search)])
+    goals = {goal.name for goal in search.goals}
+    others = [refusal.why for name, refusal in search.refusals.items() if name not in goals]
+    return "; ".join([*told, *_cycle(search), *others])
 
 
 def _reason(goal: Transport, search: SequenceSearch) -> str | None:
