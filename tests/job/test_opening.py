@@ -77,6 +77,18 @@ def test_objects_in_a_drawer_come_along_and_come_within_reach() -> None:
     assert motions.grasps(deed.state, "mug")
 
 
+def test_moving_entities_go_on_while_a_part_is_opened() -> None:
+    way = np.array([[3.0, -5.0, 0.9], [3.0, 5.0, 0.9]])
+    walker = gp.MovingEntity("walker", "adult", size=(0.3, 0.9), t=np.array([0.0, 20.0]), position=way)
+    action = gp.Open("drawer", handle="drawer_handle")
+    walked = gp.Job(scene().with_moving(walker)).place("mug", at=MUG).allow(action)
+    state, motions = action_state(walked)
+    later = state.after(state.q, 8.0)
+    deeds = [action.motion(later, choice, motions) for choice in action.candidates(later, motions)]
+    pieces = next(deed for deed in deeds if isinstance(deed, Deed)).steps[0][2]
+    assert {float(piece.scene.moving["walker"].t[0]) for piece in pieces} == {-8.0}
+
+
 def test_a_part_is_opened_only_once_and_not_if_it_is_open() -> None:
     action = gp.Open("drawer", handle="drawer_handle")
     _, deed, _ = done("drawer", 0.25)

@@ -93,14 +93,15 @@ class JobState:
 
     def scene(self, opening: float | None = None) -> Scene:
         """Return the scene with an empty gripper, opened to a distance of the pads [m]; None for the largest."""
-        return self._now(_arranged(self.world, tuple(sorted(self.where.items())), None, opening))
+        return self.now(_arranged(self.world, tuple(sorted(self.where.items())), None, opening))
 
     def holding(self, name: str, grasp: Grasp, support: tuple[str, ...] = ()) -> Scene:
         """Return the scene with an object in the gripper, which may touch its supports at the ends of a motion."""
         others = tuple((body, X) for body, X in sorted(self.where.items()) if body != name)
-        return self._now(_arranged(self.world, others, (name, grasp, support), None))
+        return self.now(_arranged(self.world, others, (name, grasp, support), None))
 
-    def _now(self, scene: Scene) -> Scene:
+    def now(self, scene: Scene) -> Scene:
+        """Return a scene with its moving entities where they are at the time of this state."""
         return _later(scene, self.moved_for) if self.moved_for else scene
 
     def moved(self, name: str, X_WO: Float[Array, "4 4"]) -> JobState:
@@ -257,7 +258,7 @@ def joined_world(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
     lid.pos, lid.quat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     frame = spec.body(onto).add_frame(pos=X[:3, 3], quat=quaternion)
     frame.attach_body(lid, "", JOINED)
-    for exclude in list(spec.excludes):  # geoms of one body never touch each other
+    for exclude in list(spec.excludes):  # without the body, the model would not compile
         if named & {exclude.bodyname1, exclude.bodyname2}:
             spec.delete(exclude)
     spec.delete(spec.body(name))

@@ -25,7 +25,7 @@ from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import SettingError
 from graceful_plan.job.actions import Action, Deed
 from graceful_plan.job.grasping import JOINED, Grasp, handle_grasps
-from graceful_plan.job.job_state import JobState, joined_world, pose_key
+from graceful_plan.job.job_state import JobState, joined_world, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, reversed_motion
 from graceful_plan.job.placing import support_of
 from graceful_plan.job.tool_paths import JointPath, along_joint
@@ -83,6 +83,8 @@ class _ByHandle(Action):
         low, high = part.range
         if not low <= self.position(scene) <= high:
             raise SettingError("to", self.to, f"between {low:g} and {high:g}, the range of joint {self.name!r}")
+        if not np.isfinite(self.position(scene)):
+            raise SettingError("to", self.to, f"a position: joint {self.name!r} has no limits")
 
     def position(self, scene: Scene) -> float:
         """Return the position of the joint afterwards [rad or m]."""
@@ -119,8 +121,7 @@ class _ByHandle(Action):
             )
             return tuple(islice(usable, motions.n_grasps)), state
 
-        key = ("handle", self._kind, self.name, self.handle, *state.surroundings)
-        return motions.once(key, reached)[0]
+        return motions.once(("handle", id(self), *state.surroundings), reached)[0]
 
     def moved(self, state: JobState) -> JobState:
         """Return the state with the joint elsewhere, and everything in its part."""
@@ -130,7 +131,7 @@ class _ByHandle(Action):
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Go to the handle, hold it, move it along its path, release it."""
         assert isinstance(choice, Grasp)
-        key = (self._kind, self.name, self.position(state.world), id(choice), *state.surroundings)
+        key = ("pull", id(self), id(choice), *state.surroundings)
         found = motions.once(key, lambda: (self._pulled(state, choice, motions), state))[0]
         if isinstance(found, Refusal):
             return found
@@ -336,15 +337,10 @@ def _in_hand(state: JobState, part: _Part, grasp: Grasp) -> Scene:
     mujoco.mju_quat2Mat(R_LT, site.quat)
     X_LB = pose_matrix(R_LT, site.pos) @ grasp.X_TO
     link = model.body(int(site.bodyid[0])).name
-    fingers = _closed(joined.world, grasp)
+    fingers = tuple(sorted(grasp.fingers.items())) if isinstance(grasp.fingers, Mapping) else ()
     world = _held_part(joined.world, part.body, link, pose_key(X_LB), tuple(part.furniture), fingers)
     where = {name: X for name, X in joined.where.items() if name != part.body}
-    return world.edit(move={name: np.array(X).reshape(4, 4) for name, X in where.items()}) if where else world
-
-
-def _closed(world: Scene, grasp: Grasp) -> tuple[tuple[str, float], ...]:
-    """Return the positions of the fingers that hold the handle, by joint; none leave them as in the scene."""
-    return tuple(sorted(grasp.fingers.items())) if isinstance(grasp.fingers, Mapping) else ()
+    return state.now(world.edit(move={name: pose_of(X) for name, X in where.items()}) if where else world)
 
 
 @per_scene

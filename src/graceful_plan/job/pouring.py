@@ -112,7 +112,7 @@ class Pour(Action):
         rest = None if left == 0.0 else replace(contents, volume=left)
         then = state.with_contents(self.name, rest)
         then = then.with_contents(self.into, _mixed(inside, replace(contents, volume=contents.volume - left)))
-        key = ("pour", self.name, self.into, id(choice), *state.surroundings)
+        key = ("pour", id(self), id(choice), *state.surroundings)
         poured = motions.once(key, lambda: (self._poured(state, choice, stance, motions), state))[0]
         if isinstance(poured, Refusal):
             return poured
