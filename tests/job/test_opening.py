@@ -79,7 +79,7 @@ def test_objects_in_a_drawer_come_along_and_come_within_reach() -> None:
 
 def test_moving_entities_go_on_while_a_part_is_opened() -> None:
     way = np.array([[3.0, -5.0, 0.9], [3.0, 5.0, 0.9]])
-    walker = gp.MovingEntity("walker", "adult", size=(0.3, 0.9), t=np.array([0.0, 20.0]), position=way)
+    walker = gp.MovingEntity("walker", "adult", size=[0.3, 0.9], t=np.array([0.0, 20.0]), position=way)
     action = gp.Open("drawer", handle="drawer_handle")
     walked = gp.Job(scene().with_moving(walker)).place("mug", at=MUG).allow(action)
     state, motions = action_state(walked)
