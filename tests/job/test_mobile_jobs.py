@@ -1,4 +1,4 @@
-"""Jobs of a mobile robot: it drives between tables with what it holds, and stands still while the arm works."""
+"""Jobs of a mobile robot: it drives between tables with an object, and stands still while the arm works."""
 
 from __future__ import annotations
 

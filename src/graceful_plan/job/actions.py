@@ -46,7 +46,7 @@ class Action(ABC):
 
     @property
     def moves(self) -> tuple[str, ...]:
-        """Objects that it lifts; none by default. They may touch what they stand on, and are cleared for questions."""
+        """Objects that it lifts; none by default. They may touch their supports at the ends of a motion."""
         return ()
 
     @abstractmethod

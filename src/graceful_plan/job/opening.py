@@ -214,7 +214,7 @@ class Close(_ByHandle):
 
 
 def opened_for(body: str, actions: Iterable[object], state: JobState) -> JobState | None:
-    """Return the state in which the part with a body is opened by one of some actions; None if none opens it."""
+    """Return the state in which the part of a body is opened by the first action that opens it; None if no action does."""
     for action in actions:
         if isinstance(action, Open):
             part = _Part.of(state.world, action.name)
@@ -261,7 +261,7 @@ class _Part:
 
         Raises:
             UnknownNameError: If there is no such joint.
-            SettingError: If it is one of the robot, or neither a hinge nor a slide.
+            SettingError: If it belongs to the robot, or is neither a hinge nor a slide.
         """
         joint = find(scene.model, mujoco.mjtObj.mjOBJ_JOINT, "joint of a door or drawer", name)
         kind = int(scene.model.jnt_type[joint])

@@ -47,7 +47,7 @@ _LITRE = 1e-3
 class Pour(Action):
     """Allow to pour from a vessel into another, once, down to a fill level. For `Job.allow`.
 
-    The vessel is put down again where it stood. What is poured counts as contents of the receiver from then on.
+    The vessel is put down again where it stood. The poured contents count as those of the receiver from then on.
 
     Args:
         name: The vessel: an object with contents.

@@ -1,6 +1,6 @@
 """Motions of the arm of a mobile robot while its base stands still: an approach, a lift, a path of a handle.
 
-They are planned in a scene in which only the joints of the arm are planned. The base is at rest in what is returned.
+They are planned in a scene in which only the joints of the arm are planned; returned motions have the base at rest.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _by_arm(goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], seed: int) 
 
 
 def with_base(motion: Trajectory, scene: Scene, q: Float[Array, " nq"]) -> Trajectory:
-    """Return a motion of the arm as one of the whole robot, whose base stands where it is in a configuration."""
+    """Return a motion of the arm as a motion of the whole robot, whose base stands where it is in a configuration."""
     n = base_joints(scene)
     if n == 0:
         return motion
