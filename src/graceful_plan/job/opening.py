@@ -1,8 +1,8 @@
 """Opening and closing doors and drawers by a handle.
 
 The gripper closes on the handle, the tool follows the path that the joint prescribes, and the gripper opens. While it
-holds the handle, the moving part and the objects in it are rigid parts of the hand: they are checked for collisions
-with everything but the rest of their furniture, and count as a part of the robot in harm and in simulations. The force
+holds the handle, the moving part and the objects in it are rigid parts of the hand: they are checked for collisions,
+except the part with the rest of its furniture, and count as parts of the robot in harm and in simulations. The force
 that moves the part, and a joint that guides it in a failure, are not modelled.
 
 Frames: W world, T tool, L link of the tool, B body of the moving part.
@@ -214,7 +214,7 @@ class Close(_ByHandle):
 
 
 def opened_for(body: str, actions: Iterable[object], state: JobState) -> JobState | None:
-    """Return the state in which the part of a body is opened by the first action that opens it; None if no action does."""
+    """Return the state in which the part of a body is open, by the first action that opens it; None if none does."""
     for action in actions:
         if isinstance(action, Open):
             part = _Part.of(state.world, action.name)
