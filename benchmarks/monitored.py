@@ -77,7 +77,10 @@ class MonitorJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """Result of a job: harm, time to the notice (NaN: none) and kind by fault; healthy harm, and false alarms."""
+    """Result of a job: harm, time to the notice (NaN: none) and kind by fault; healthy harm, and false alarms.
+
+    Without a motion, the mappings are empty.
+    """
 
     task: str
     condition: str
@@ -119,6 +122,19 @@ def do(job: MonitorJob) -> Episodes:
     w, monitor = CONDITIONS[job.condition]
     task = prepared(job.task, SEED + job.robot)
     motion = _motion(task, w)
+    if motion is None:
+        return Episodes(
+            task=job.task,
+            condition=job.condition,
+            robot=job.robot,
+            harm={},
+            delay={},
+            kind={},
+            healthy=math.nan,
+            stopped=[],
+            duration=math.nan,
+            seconds=time.process_time() - began,
+        )
 
     def policy(task: PolicyTask, seed: int) -> OpenLoop:
         return OpenLoop(motion, task.settings.period)
@@ -149,14 +165,16 @@ def do(job: MonitorJob) -> Episodes:
     )
 
 
-def _motion(task: PolicyTask, w: float | None) -> gp.Trajectory:
-    first, second = ITERATIONS
-    try:
-        policy = planned(w, iterations=first)(task, 0)
-    except gp.PlanningFailed:
-        policy = planned(w, iterations=second)(task, 0)
-    assert isinstance(policy, OpenLoop)
-    return policy.motion
+def _motion(task: PolicyTask, w: float | None) -> gp.Trajectory | None:
+    """Return the motion of the planner; None if it finds none."""
+    for iterations in ITERATIONS:
+        try:
+            policy = planned(w, iterations=iterations)(task, 0)
+        except gp.PlanningFailed:
+            continue
+        assert isinstance(policy, OpenLoop)
+        return policy.motion
+    return None
 
 
 def _false_alarms(job: MonitorJob, policy: PolicyFactory) -> Iterator[bool]:

@@ -1,17 +1,20 @@
 """The bound of prevention: many motions of one task, and the harm that the best of them prevents.
 
-A motion is chosen on one set of failures and judged on another one, so that luck in the choice does not count. One line
-of JSON per task.
+A motion is chosen on one set of failures and judged on another one, so that luck in the choice does not count. The
+model's predictions for all motions tell whether the model, the search or the weight keeps the planner from the best
+one. One line of JSON per task.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from scipy.stats import rankdata
 
 import failbench as fb
 import graceful_plan as gp
@@ -36,7 +39,7 @@ PRIORS: Mapping[str, gp.ImpactCost] = MappingProxyType(
 WEIGHTS = (0.3, 1.0, 3.0)
 SEEDS, PLANNERS = (1, 2), ("rrt_star", "prm_star")
 DISTINCT = 6
-"""Candidates of the calls at the default weight."""
+"""Candidates of each call with w > 0."""
 TASKS = (
     "bedside/bring_pills",
     "desk/bring_coffee",
@@ -54,26 +57,61 @@ TASKS = (
     "dining_table/move_bottle",
 )
 """Half of them unseen, in the order of a run that time may end early."""
-SIZES = {"drops": (40, 100), "mixed": (57, 95)}
-"""Failures of every motion that choose, and of the judged motions that judge."""
-LONG_SIZES = {"drops": (400, 400), "mixed": (228, 228)}
-MEASURED = """\
-How much less harm could any choice among many motions do? Each task is planned in 1 s per call with the default, the
-service and the arm prior at w = 0.3, 1 and 3, with other seeds, planners and speeds, and with `candidates=`. Every
-motion fails in the same ways. "Best": the motion with the least harm per executed task on some failures. It is judged
-on other failures, as all motions of the tables are. **Share of what is attainable**: the relative reduction of harm per
-task against w = 0, summed over the tasks, over that of the best motion. The choice of the best is noisy, so shares may
-exceed 1. Intervals (95 %) come from resampled tasks. Harm and failures are those of `prevention`, damage to the carried
-object included.
+SIZES = {"drops": (3, 128), "mixed": (3, 95)}
+"""Rounds of `choose`, and failures of each judged motion."""
+LONG_SIZES = {"drops": (6, 400), "mixed": (5, 380)}
+RACE_SECONDS = 3600.0
+"""Limit of a choice; the rounds end it earlier [s]."""
+PRIOR_OF = {"drops": "default", "mixed": "service"}
+"""The prior that predicts each kind of failures."""
+PLACES = 50
+"""Positions along a motion that are compared."""
+SURE = 1.1
+"""The best motion of a task counts as better if it does this much less harm than the planner's."""
+MEASURED = f"""\
+How much less harm could any choice among many motions do? Each task is planned in {SECONDS:g} s per call with the
+default, the service and the arm prior at w = 0.3, 1 and 3, with other seeds, planners and speeds. Each call returns up
+to {DISTINCT} distinct motions (`candidates={DISTINCT}`). "Best": the motion with the least harm per executed task in a
+race over all of them: `failbench.choose`, with the same failures for each; after each round the worse half is dropped
+and the number of failures doubles. Other failures judge it, the same for all motions of the tables. **Share of what is
+attainable**: the relative reduction of harm per task against w = 0, summed over the tasks, over that of the best
+motion. "At the same speed": over that of the best motion among those at {SPEED:g} of the velocity limits, the speed of
+the named motions. The choice of the best is noisy, so shares may exceed 1. Intervals (95 %) come from resampled tasks.
+Harm and failures are those of `prevention`, damage to the carried object included; "others only" leaves it out.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundJob:
-    """A task, and the numbers of failures of each kind: to choose, and to judge."""
+    """A task; for each kind of failures, the rounds that choose and the number of failures that judge."""
 
     task: str
     sizes: Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modelled:
+    """A motion as the planner's model sees it.
+
+    Args:
+        motion: Motion cost V.
+        impact: Time integral of the impact along the motion, by prior; the predicted harm per executed task without the
+            rate of failures.
+        height: Mean height of the carried object, or of the tool [m].
+        aside: Greatest horizontal distance of the object from the default motion's object at equal shares of the
+            duration [m].
+        end: Distance of the last configuration from that of the default motion [rad].
+    """
+
+    motion: float
+    impact: Mapping[str, float]
+    height: float
+    aside: float
+    end: float
+
+    def cost(self, prior: str, w: float) -> float:
+        """Return J with a prior."""
+        return self.motion + w * self.impact[prior]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,23 +121,30 @@ class Bound:
     Args:
         task: "scene/task".
         duration: Duration by motion [s].
-        first: Harm per failure on the failures that choose, by kind of failures, then by motion.
-        second: The same on the failures that judge, for the named motions and for those that were chosen.
+        modelled: The model's view, by motion.
+        first: Harm per executed task in the race, without the rate of failures, by kind of failures, then by motion.
+        second: Harm per failure on the failures that judge, for the named motions and for those that were chosen.
+        others: The part of `second` that is not the loss of the carried object.
         best: The chosen motion, by kind.
+        best_at_speed: The chosen motion among those at `SPEED`, by kind.
     """
 
     task: str
     duration: Mapping[str, float]
+    modelled: Mapping[str, Modelled]
     first: Mapping[str, Mapping[str, float]]
     second: Mapping[str, Mapping[str, float]]
+    others: Mapping[str, Mapping[str, float]]
     best: Mapping[str, str]
+    best_at_speed: Mapping[str, str]
 
-    def less(self, kind: str, name: str) -> float:
+    def less(self, kind: str, name: str, *, others: bool = False) -> float:
         """Return the relative reduction of harm per executed task against w = 0, on the failures that judge."""
-        return 1.0 - self._per_task(kind, name) / self._per_task(kind, NONE)
+        return 1.0 - self.per_task(kind, name, others=others) / self.per_task(kind, NONE, others=others)
 
-    def _per_task(self, kind: str, name: str) -> float:
-        return self.second[kind][name] * self.duration[name]
+    def per_task(self, kind: str, name: str, *, others: bool = False) -> float:
+        """Return the harm per executed task, without the rate of failures."""
+        return (self.others if others else self.second)[kind][name] * self.duration[name]
 
 
 def name_of(prior: str, w: float) -> str:
@@ -109,30 +154,68 @@ def name_of(prior: str, w: float) -> str:
 
 NAMED = (NONE, *(name_of(prior, w) for w in WEIGHTS for prior in PRIORS))
 """Motions that are always judged."""
+DEFAULT = name_of("default", WEIGHTS[0])
 
 
 def do_bound(job: BoundJob) -> Bound:
     """Plan a task in all ways, choose the best motion on some failures, and judge it on others."""
     task = suite.task(job.task)
     motions, grasp = _executable(dict(_planned(task)), task)
+    nothing = Bound(
+        task=job.task,
+        duration={name: motion.duration for name, motion in motions.items()},
+        modelled={},
+        first={},
+        second={},
+        others={},
+        best={},
+        best_at_speed={},
+    )
+    if not {NONE, DEFAULT} <= motions.keys():
+        return nothing
     settings = SimSettings(grasp=grasp)
-
-    def harm(name: str, kind: str, n: int, seed: int) -> float:
-        found = fb.validate(
-            motions[name], task.scene, kinds(task)[kind], n=n, seed=seed, threads=1, settings=settings
-        ).observed
-        return max(found.mean, least_severity(task.scene) / found.n)  # one hit counts if there is none
-
     first: dict[str, dict[str, float]] = {}
     second: dict[str, dict[str, float]] = {}
+    others: dict[str, dict[str, float]] = {}
     best: dict[str, str] = {}
-    duration = {name: motion.duration for name, motion in motions.items()}
-    for kind, (choosing, judging) in job.sizes.items():
-        harms = first[kind] = {name: harm(name, kind, choosing, SEED + 1) for name in motions}
-        best[kind] = min(harms, key=lambda name: harms[name] * duration[name])
-        judged = dict.fromkeys([*(name for name in NAMED if name in motions), best[kind]])
-        second[kind] = {name: harm(name, kind, judging, SEED + 2) for name in judged}
-    return Bound(task=job.task, duration=duration, first=first, second=second, best=best)
+    best_at_speed: dict[str, str] = {}
+    at_speed = {name for name in motions if "speed" not in name}
+    for kind, (rounds, judging) in job.sizes.items():
+        faults = kinds(task)[kind]
+        race = fb.choose(
+            list(motions.values()),
+            task.scene,
+            faults,
+            seconds=RACE_SECONDS,
+            rounds=rounds,
+            seed=SEED + 1,
+            rate=3600.0,  # one failure per second of motion
+            threads=1,
+            settings=settings,
+        )
+        names = list(motions)
+        harm = {name: found.mean for name, found in zip(names, race.harm, strict=True) if found is not None}
+        raced = dict(zip(names, race.n, strict=True))
+        first[kind], best[kind] = harm, names[race.best]
+        best_at_speed[kind] = min(at_speed & harm.keys(), key=lambda name: (-raced[name], harm[name]))
+        second[kind], others[kind] = {}, {}
+        for name in dict.fromkeys([*NAMED, best[kind], best_at_speed[kind]]):
+            if name in motions:
+                found = fb.validate(
+                    motions[name], task.scene, faults, n=judging, seed=SEED + 2, threads=1, settings=settings
+                )
+                least = least_severity(task.scene) / found.n  # one hit counts if there is none
+                second[kind][name] = max(found.observed.mean, least)
+                others[kind][name] = max(found.observed.mean - found.own_loss.mean, least)
+    return replace(
+        nothing,
+        modelled=_modelled(motions, task),
+        first=first,
+        second=second,
+        others=others,
+        best=best,
+        best_at_speed=best_at_speed,
+    )
 
 
 def _planned(task: gp.Task) -> Iterator[tuple[str, gp.Trajectory]]:
@@ -151,12 +234,37 @@ def _planned(task: gp.Task) -> Iterator[tuple[str, gp.Trajectory]]:
     calls |= {f"w = 1, {planner}": (usual, 1.0, {"planner": planner}) for planner in PLANNERS}
     calls |= {f"w = 0.3, speed {speed:g}": (usual, 0.3, {"speed": speed}) for speed in OTHER_SPEEDS}
     for name, (impact, w, settings) in calls.items():
-        several = DISTINCT if w == WEIGHTS[0] and not settings else 1
-        result = planned(impact, w, candidates=several, **settings)
+        result = planned(impact, w, candidates=DISTINCT if w > 0.0 else 1, **settings)
         if result.trajectory is not None:
             yield name, result.trajectory
         for k, other in enumerate(result.candidates[1:], 1):
             yield f"{name}, candidate {k}", other.unwrap()
+
+
+def _modelled(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> dict[str, Modelled]:
+    places = {name: _places(motion, task.scene) for name, motion in motions.items()}
+    around, end = places[DEFAULT], motions[DEFAULT].q[-1]
+    found: dict[str, Modelled] = {}
+    for name, motion in motions.items():
+        costs = {
+            prior: gp.evaluate(motion, task.scene, gp.Objective(impact=impact, w=1.0))
+            for prior, impact in PRIORS.items()
+        }
+        found[name] = Modelled(
+            motion=costs["default"].motion,
+            impact={prior: cost.impact for prior, cost in costs.items()},
+            height=float(places[name][:, 2].mean()),
+            aside=float(np.linalg.norm((places[name] - around)[:, :2], axis=1).max()),
+            end=float(np.linalg.norm(motion.q[-1] - end)),
+        )
+    return found
+
+
+def _places(motion: gp.Trajectory, scene: gp.Scene) -> Array:
+    """Return the object's (or the tool's) positions in W at equal shares of the duration [n, 3] [m]."""
+    times = np.linspace(motion.t[0], motion.t[-1], PLACES)
+    batch = gp.StateBatch(scene, np.stack([np.interp(times, motion.t, q) for q in motion.q.T], axis=1))
+    return (batch.tool_poses if scene.carried is None else batch.object_poses)[:, :3, 3]
 
 
 def _executable(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> tuple[dict[str, gp.Trajectory], str]:
@@ -168,7 +276,7 @@ def _executable(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> tuple[di
     for grasp in ("fingers", "weld"):
         world = fb.build_world(task.scene, SimSettings(grasp=grasp))
         can = {name: motion for name, motion in motions.items() if _executes(motion, world)}
-        if {NONE, name_of("default", WEIGHTS[0])} <= can.keys():
+        if {NONE, DEFAULT} <= can.keys():
             return can, grasp
     return can, "weld"
 
@@ -181,8 +289,8 @@ def _executes(motion: gp.Trajectory, world: fb.World) -> bool:
 
 
 def bound_sizes(options: suite.Options) -> Mapping[str, tuple[int, int]]:
-    """Return the numbers of failures of each kind: to choose, and to judge."""
-    return options.pick(SIZES, quick={"drops": (8, 8), "mixed": (19, 19)}, long=LONG_SIZES)
+    """Return the rounds that choose and the number of failures that judge, by kind."""
+    return options.pick(SIZES, quick={"drops": (1, 8), "mixed": (1, 19)}, long=LONG_SIZES)
 
 
 def bound_jobs(file: Path, options: suite.Options) -> list[BoundJob]:
@@ -192,8 +300,11 @@ def bound_jobs(file: Path, options: suite.Options) -> list[BoundJob]:
 
 def read_bounds(file: Path) -> list[Bound]:
     """Return the finished tasks in which w = 0 and the default motion can be executed."""
-    found = (Bound(**line) for line in read_lines(file))
-    return [one for one in found if {NONE, name_of("default", WEIGHTS[0])} <= one.duration.keys()]
+    found = (
+        replace(Bound(**line), modelled={name: Modelled(**one) for name, one in line["modelled"].items()})
+        for line in read_lines(file)
+    )
+    return [one for one in found if {NONE, DEFAULT} <= one.duration.keys()]
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
@@ -205,7 +316,7 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
         return f"{MEASURED}\nNo task is finished yet.\n"
     unseen = sum(one.task.split("/")[0] in suite.unseen_scenes() for one in found)
     counts = [len(one.duration) for one in found]
-    told = "; ".join(f"{kind}: {a} failures of each motion choose, {b} judge" for kind, (a, b) in sizes.items())
+    told = "; ".join(f"{kind}: {rounds} rounds choose, {n} failures judge" for kind, (rounds, n) in sizes.items())
     parts = [
         MEASURED,
         f"{len(found)} of {len(TASKS)} tasks, {unseen} of them unseen, with {min(counts)} to {max(counts)} motions."
@@ -216,7 +327,7 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
         names = [name for name in NAMED[1:] if all(name in one.second[kind] for one in found)]
         parts += [
             f"Named motions, {kind}:\n",
-            report.table(_SHARES, [_share_row(found, kind, name) for name in (*names, "best")]),
+            report.table(_SHARES, [_share_row(found, kind, name) for name in (*names, BEST, BEST_AT_SPEED)]),
         ]
     parts += [
         f"A heavier weight, against w = {WEIGHTS[0]:g} with the same prior:\n",
@@ -226,13 +337,37 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
     ]
     parts += ["Task by task, times less harm per executed task than at w = 0:\n"]
     parts += [report.table(_TASKS, [_task_row(one, kind) for kind in sizes for one in found])]
+    parts += [_COMPARED]
+    parts += [report.table(_LIMITS, [_limit_row(one, kind) for kind in sizes for one in found])]
+    parts += [_limits_told(found, kind) for kind in sizes]
     return "\n".join(parts)
 
 
-_SHARES = ("motion", "harm per task, x less, median", "geometric mean", "share of what is attainable", "duration")
-_HEAVIER = ("failures", "prior", "w", "harm per task, x less, geometric mean", "worse", "better", "duration")
+BEST, BEST_AT_SPEED = "best", "best at the same speed"
+_SHARES = (
+    "motion", "harm per task, x less, median", "geometric mean", "share of what is attainable", "at the same speed",
+    "duration",
+)  # fmt: skip
+_HEAVIER = (
+    "failures", "prior", "w", "harm per task, x less, geometric mean", "others only", "worse", "better", "duration"
+)  # fmt: skip
 _TASKS = (
-    "task", "failures", "motions", "default", "service", "arm", "default, w = 1", "w = 3", "best", "which", "duration"
+    "task", "failures", "motions", "default", "service", "arm", "default, w = 1", "w = 3", "best at the same speed",
+    "best", "which", "duration",
+)  # fmt: skip
+_COMPARED = f"""\
+What keeps the planner from the best motion? The planner's motion at w = {WEIGHTS[0]:g} (drops: default prior, mixed:
+service prior) against the best one at the same speed. "Observed": its harm per task over that of the best; "predicted":
+the same ratio by the model. "J": cost of the best motion over that of the planner's at w = {WEIGHTS[0]:g}. Geometry of
+the best against the default motion: mean height of the carried object, greatest horizontal distance, and distance of
+the last configuration. "Rank": Spearman's correlation of predicted and observed harm per task over all motions in the
+race. Limit, if the best does {SURE:g} times less harm: **search** if the best has less J, so that the planner missed
+it; **weight** if the model knows that it is safer, but it is not worth its motion; **model** if the model predicts more
+harm for it than for the planner's.
+"""
+_LIMITS = (
+    "task", "failures", "best at the same speed", "observed", "predicted", "J", "duration", "height", "aside", "end",
+    "rank", "limit",
 )  # fmt: skip
 
 
@@ -248,13 +383,23 @@ def _targets(found: Sequence[Bound]) -> Iterator[report.Target]:
             )
 
 
-def share_of(found: Sequence[Bound], kind: str, name: str) -> Estimate:
+def share_of(found: Sequence[Bound], kind: str, name: str, *, at_speed: bool = False) -> Estimate:
     """Return the summed reduction of a motion over that of the best one, with an interval from resampled tasks.
 
     Tasks without this motion are left out.
+
+    Args:
+        found: The tasks.
+        kind: Kind of failures.
+        name: The motion.
+        at_speed: Whether to compare with the best motion at the same speed.
     """
     reductions = np.array(
-        [[one.less(kind, name), one.less(kind, one.best[kind])] for one in found if name in one.second[kind]]
+        [
+            [one.less(kind, name), one.less(kind, (one.best_at_speed if at_speed else one.best)[kind])]
+            for one in found
+            if name in one.second[kind]
+        ]
     )
 
     def share(rows: Array) -> float:
@@ -264,12 +409,16 @@ def share_of(found: Sequence[Bound], kind: str, name: str) -> Estimate:
 
 
 def _share_row(found: Sequence[Bound], kind: str, name: str) -> Sequence[object]:
-    chosen = [one.best[kind] if name == "best" else name for one in found]
+    chosen = [{BEST: one.best[kind], BEST_AT_SPEED: one.best_at_speed[kind]}.get(name, name) for one in found]
     ratio = [1.0 / (1.0 - one.less(kind, which)) for one, which in zip(found, chosen, strict=True)]
     longer = np.median([one.duration[which] / one.duration[NONE] for one, which in zip(found, chosen, strict=True)])
-    share = "" if name == "best" else str(share_of(found, kind, name))
+    shares = (
+        ("", "")
+        if name in (BEST, BEST_AT_SPEED)
+        else tuple(str(share_of(found, kind, name, at_speed=at_speed)) for at_speed in (False, True))
+    )
     geometric = float(np.exp(np.mean(np.log(ratio))))
-    return name, f"{np.median(ratio):.2f}", f"{geometric:.2f}", share, f"{100.0 * (longer - 1.0):+.0f} %"
+    return name, f"{np.median(ratio):.2f}", f"{geometric:.2f}", *shares, f"{100.0 * (longer - 1.0):+.0f} %"
 
 
 def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Sequence[object]]:
@@ -279,12 +428,24 @@ def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Seq
         both = [one for one in found if {light, heavy} <= one.second[kind].keys()]
         if not both:
             continue
-        logs = np.array([np.log((1.0 - one.less(kind, light)) / (1.0 - one.less(kind, heavy))) for one in both])
-        found_ratio = cluster_bootstrap(logs, np.arange(len(logs)), resamples=2000)
-        mean, low, high = np.exp([found_ratio.mean, found_ratio.low, found_ratio.high])
+        logs = _log_ratios(both, kind, light, heavy, others=False)
+        told = [_geometric(_log_ratios(both, kind, light, heavy, others=others)) for others in (False, True)]
         longer = np.median([one.duration[heavy] / one.duration[light] for one in both])
         sides = (np.count_nonzero(logs < 0.0), np.count_nonzero(logs > 0.0))
-        yield kind, prior, f"{w:g}", f"{mean:.2f} [{low:.2f}, {high:.2f}]", *sides, f"{100.0 * (longer - 1.0):+.0f} %"
+        yield kind, prior, f"{w:g}", *told, *sides, f"{100.0 * (longer - 1.0):+.0f} %"
+
+
+def _log_ratios(found: Sequence[Bound], kind: str, light: str, heavy: str, *, others: bool) -> Array:
+    return np.array(
+        [np.log(one.per_task(kind, light, others=others) / one.per_task(kind, heavy, others=others)) for one in found]
+    )
+
+
+def _geometric(logs: Array) -> str:
+    """Return the geometric mean of ratios with an interval from resampled tasks."""
+    estimate = cluster_bootstrap(logs, np.arange(len(logs)), resamples=2000)
+    mean, low, high = np.exp([estimate.mean, estimate.low, estimate.high])
+    return f"{mean:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _task_row(one: Bound, kind: str) -> Sequence[object]:
@@ -296,4 +457,63 @@ def _task_row(one: Bound, kind: str) -> Sequence[object]:
     named = [ratio(name_of(prior, WEIGHTS[0])) for prior in PRIORS]
     heavier = [ratio(name_of("default", w)) for w in WEIGHTS[1:]]
     longer = f"{100.0 * (one.duration[best] / one.duration[NONE] - 1.0):+.0f} %"
-    return one.task, kind, len(one.duration), *named, *heavier, ratio(best), best, longer
+    bests = (ratio(one.best_at_speed[kind]), ratio(best))
+    return one.task, kind, len(one.duration), *named, *heavier, *bests, best, longer
+
+
+def _limit_row(one: Bound, kind: str) -> Sequence[object]:
+    own, best = name_of(PRIOR_OF[kind], WEIGHTS[0]), one.best_at_speed[kind]
+    if own not in one.second[kind]:
+        return one.task, kind, best, *["-"] * 9
+    a, b = one.modelled[own], one.modelled[best]
+    default = one.modelled[DEFAULT]
+    prior = PRIOR_OF[kind]
+    return (
+        one.task,
+        kind,
+        best,
+        f"{one.per_task(kind, own) / one.per_task(kind, best):.2f}",
+        f"{_ratio(a.impact[prior], b.impact[prior]):.2f}",
+        f"{b.cost(prior, WEIGHTS[0]) / a.cost(prior, WEIGHTS[0]):.2f}",
+        f"{100.0 * (one.duration[best] / one.duration[own] - 1.0):+.0f} %",
+        f"{100.0 * (b.height - default.height):+.0f} cm",
+        f"{100.0 * b.aside:.0f} cm",
+        f"{b.end:.1f} rad",
+        f"{rank_of(one, kind):.2f}",
+        limit_of(one, kind),
+    )
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / max(b, 1e-12) if a > 0.0 else float(b <= 0.0)
+
+
+def rank_of(one: Bound, kind: str) -> float:
+    """Return Spearman's correlation of predicted and observed harm per task over the motions of a task.
+
+    NaN if either is constant.
+    """
+    observed = one.first[kind]
+    predicted = [one.modelled[name].impact[PRIOR_OF[kind]] for name in observed]
+    if np.ptp(predicted) == 0.0 or np.ptp(list(observed.values())) == 0.0:
+        return math.nan
+    return float(np.corrcoef(rankdata(predicted), rankdata(list(observed.values())))[0, 1])
+
+
+def limit_of(one: Bound, kind: str) -> str:
+    """Return what keeps the planner from the best motion at its speed: "search", "weight", "model", or "" if little."""
+    prior = PRIOR_OF[kind]
+    own, best = name_of(prior, WEIGHTS[0]), one.best_at_speed[kind]
+    if own not in one.second[kind] or one.per_task(kind, own) < SURE * one.per_task(kind, best):
+        return ""
+    a, b = one.modelled[own], one.modelled[best]
+    if b.cost(prior, WEIGHTS[0]) < a.cost(prior, WEIGHTS[0]):
+        return "search"
+    return "weight" if b.impact[prior] < a.impact[prior] else "model"
+
+
+def _limits_told(found: Sequence[Bound], kind: str) -> str:
+    limits = [limit_of(one, kind) for one in found]
+    told = ", ".join(f"{limit or 'none'} {limits.count(limit)}" for limit in ("search", "weight", "model", ""))
+    ranks = [rank for one in found if not math.isnan(rank := rank_of(one, kind))]
+    return f"{kind}: {told}; median rank correlation {np.median(ranks) if ranks else math.nan:.2f}.\n"

@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from benchmarks.prevention.bound import NAMED, PRIORS, SIZES, TASKS, Bound, bound_table, name_of, read_bounds, share_of
+from benchmarks.prevention.bound import (
+    DEFAULT,
+    NAMED,
+    PRIORS,
+    SIZES,
+    TASKS,
+    Bound,
+    Modelled,
+    bound_table,
+    limit_of,
+    rank_of,
+    read_bounds,
+    share_of,
+)
 from benchmarks.prevention.choosing import Choice, choice_section, read_choices
 from benchmarks.prevention.noticed import ARM, GRIPPER, Noticed, noticed_section, read_noticed
 from benchmarks.prevention.runs import NONE
@@ -12,14 +27,28 @@ from benchmarks.suite import unseen_scenes
 
 from benchmarks import store
 
-DEFAULT = name_of("default", 0.3)
+
+def seen(motion: float = 1.0, impact: float = 1.0) -> Modelled:
+    return Modelled(motion=motion, impact=dict.fromkeys(PRIORS, impact), height=1.0, aside=0.0, end=0.0)
 
 
-def bound(task: str, plain: float, default: float, best: float, longer: float = 1.0) -> Bound:
+def bound(
+    task: str, plain: float, default: float, best: float, longer: float = 1.0, modelled: Modelled | None = None
+) -> Bound:
+    """Return a task in which the named motions do the same harm, and another motion is the best."""
     harm = {name: default for name in NAMED} | {NONE: plain, "other": best}
     duration = dict.fromkeys(harm, 1.0) | {"other": longer}
-    each = {kind: harm for kind in SIZES}
-    return Bound(task=task, duration=duration, first=each, second=each, best=dict.fromkeys(SIZES, "other"))
+    each, chosen = {kind: harm for kind in SIZES}, dict.fromkeys(SIZES, "other")
+    return Bound(
+        task=task,
+        duration=duration,
+        modelled=dict.fromkeys(harm, seen()) | {"other": modelled or seen()},
+        first=each,
+        second=each,
+        others=each,
+        best=chosen,
+        best_at_speed=chosen,
+    )
 
 
 def test_the_share_sums_reductions_over_tasks():
@@ -38,12 +67,34 @@ def test_harm_per_task_counts_the_duration():
 def test_the_tables_show_every_task_and_the_best_motion():
     text = bound_table([bound("desk/x", 4.0, 2.0, 1.0), bound("studio/y", 1.0, 1.0, 0.5)], SIZES)
     assert f"2 of {len(TASKS)} tasks, 1 of them unseen" in text
-    assert "| desk/x | drops | 11 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 4.00 | other | +0 % |" in text
+    assert "| desk/x | drops | 11 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 4.00 | 4.00 | other | +0 % |" in text
     assert len(
         [line for line in text.splitlines() if "share of what is attainable |" in line and ">= 0.9" in line]
     ) == (len(PRIORS) * len(SIZES))
-    assert "| drops | default | 1 | 1.00 [1.00, 1.00] | 0 | 0 | +0 % |" in text
+    assert "| drops | default | 1 | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] | 0 | 0 | +0 % |" in text
     assert "No task is finished" in bound_table([], SIZES)
+
+
+@pytest.mark.parametrize(
+    ("best", "limit"),
+    [
+        (seen(motion=0.9, impact=0.5), "search"),
+        (seen(motion=2.0, impact=0.5), "weight"),
+        (seen(motion=1.0, impact=2.0), "model"),
+    ],
+)
+def test_what_keeps_the_planner_from_the_best_motion(best: Modelled, limit: str):
+    assert limit_of(bound("a/x", 4.0, 2.0, 1.0, modelled=best), "drops") == limit
+    assert limit_of(bound("a/x", 4.0, 2.0, 1.95, modelled=best), "drops") == ""  # too little to tell
+
+
+def test_the_rank_correlation_is_that_of_predicted_and_raced_harm():
+    impacts = dict(zip(NAMED, np.linspace(1.0, 2.0, len(NAMED)), strict=True))
+    one = bound("a/x", 4.0, 2.0, 1.0)
+    one = replace(one, modelled={name: seen(impact=x) for name, x in impacts.items()})
+    assert rank_of(replace(one, first={"drops": impacts}), "drops") == pytest.approx(1.0)
+    reverse = {name: -x for name, x in impacts.items()}
+    assert rank_of(replace(one, first={"drops": reverse}), "drops") == pytest.approx(-1.0)
 
 
 def test_half_of_the_tasks_are_unseen():
@@ -54,7 +105,7 @@ def test_half_of_the_tasks_are_unseen():
 def test_tasks_without_the_motions_to_compare_are_left_out(tmp_path):
     file = tmp_path / "bound.jsonl"
     one, other = bound("a/x", 4.0, 2.0, 1.0), bound("b/y", 1.0, 1.0, 0.5)
-    refused = Bound(task="c/z", duration={"other": 1.0}, first={}, second={}, best={})
+    refused = replace(bound("c/z", 1.0, 1.0, 1.0), duration={"other": 1.0})
     file.write_text("".join(store.line(x) for x in (one, refused, other)), encoding="utf-8")
     assert read_bounds(file) == [one, other]
 
