@@ -13,6 +13,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import store, suite
+from benchmarks.report import Target, targets
 from benchmarks.store import read_lines
 from failbench.basics.statistics import Estimate, cluster_bootstrap, estimate_probability
 from failbench.policies import (
@@ -52,7 +53,10 @@ CONDITIONS: Mapping[str, tuple[float | None, bool]] = {
     "plan, monitor": (None, True),
 }
 """Safety weight (None: default) and whether a monitor watches."""
-TASKS, LONG_TASKS, SEED = 12, 23, 4100
+TASKS, LONG_TASKS, SEED = 14, 23, 4100
+WATCHED = "plan, monitor"
+OTHER_DEGREES, DEGREE_TASKS = ("minor", "moderate", "critical"), 6
+"""Degrees besides severe at which faults are noticed or missed, on the first tasks with the condition `WATCHED`."""
 MEASURED = f"""\
 **Monitor.** The motion runs by the clock, with a reading every {1e3 * PERIOD:g} ms. The limits come from healthy runs
 of two tasks of each of {len(HEALTHY)} bundled scenes, by {ROBOTS} robots each, for {RATE:g} false alarm an hour; no
@@ -68,11 +72,12 @@ Intervals are 95 %, from a bootstrap over tasks.
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorJob:
-    """Episodes of one condition on one task with one robot."""
+    """Episodes of one condition on one task with one robot; faults of one degree."""
 
     task: str
     condition: str
     robot: int
+    degree: str = "severe"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +97,7 @@ class Episodes:
     stopped: Sequence[bool]
     duration: float
     seconds: float
+    degree: str = "severe"
 
 
 @cache
@@ -134,6 +140,7 @@ def do(job: MonitorJob) -> Episodes:
             stopped=[],
             duration=math.nan,
             seconds=time.process_time() - began,
+            degree=job.degree,
         )
 
     def policy(task: PolicyTask, seed: int) -> OpenLoop:
@@ -142,7 +149,7 @@ def do(job: MonitorJob) -> Episodes:
     found = evaluate(
         task,
         policy,
-        "*/*/severe",
+        f"*/*/{job.degree}",
         n=1,
         seed=SEED + job.robot,
         recovery=StopOnFailure() if monitor else None,
@@ -162,6 +169,7 @@ def do(job: MonitorJob) -> Episodes:
         stopped=[healthy.notice is not None, *_false_alarms(job, policy)] if monitor else [],
         duration=motion.duration,
         seconds=time.process_time() - began,
+        degree=job.degree,
     )
 
 
@@ -178,7 +186,9 @@ def _motion(task: PolicyTask, w: float | None) -> gp.Trajectory | None:
 
 
 def _false_alarms(job: MonitorJob, policy: PolicyFactory) -> Iterator[bool]:
-    """Yield whether a monitor stops further healthy robots."""
+    """Yield whether a monitor stops further healthy robots; they are counted once, with severe faults."""
+    if job.degree != "severe":
+        return
     for robot in range(1, MORE_ROBOTS + 1):
         task = prepared(job.task, SEED + 1000 * robot + job.robot)
         seen = roll_out(task, monitored(policy, StopOnFailure(), watch()), [SEED + 1000 * robot + job.robot])
@@ -204,15 +214,22 @@ def chosen_tasks(options: suite.Options) -> list[str]:
 def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
     """Do the jobs that are left, and yield the tables."""
     file = folder / f"monitored.{SEED}.jsonl"
-    have = {(line["task"], line["condition"], line["robot"]) for line in read_lines(file)}
+    have = [Episodes(**line) for line in read_lines(file)]
+    done = {(one.task, one.condition, one.robot, one.degree) for one in have}
     robots = options.pick(1, quick=1, long=4)
+    tasks = chosen_tasks(options)
     jobs = [
         MonitorJob(task=task, condition=condition, robot=robot)
         for robot in range(robots)
-        for task in chosen_tasks(options)
+        for task in tasks
         for condition in options.pick(tuple(CONDITIONS), quick=("w = 0",))  # limits take half a minute
-        if (task, condition, robot) not in have
     ]
+    jobs += [
+        MonitorJob(task=task, condition=WATCHED, robot=0, degree=degree)
+        for degree in options.pick(OTHER_DEGREES, quick=())
+        for task in tasks[:DEGREE_TASKS]
+    ]
+    jobs = [job for job in jobs if (job.task, job.condition, job.robot, job.degree) not in done]
     store.fill(file, jobs, do, processes=options.processes, label="monitored", until=until)
     yield MEASURED
     yield from tables([Episodes(**line) for line in read_lines(file)])
@@ -223,41 +240,85 @@ def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
 
 def tables(done: Sequence[Episodes]) -> Iterator[str]:
     """Yield the tables of the robots and tasks for which all conditions are finished."""
-    by = {(one.task, one.robot, one.condition): one for one in done}
+    by = {(one.task, one.robot, one.condition): one for one in done if one.degree == "severe"}
     finished = sorted({(task, robot) for task, robot, _ in by if all((task, robot, c) in by for c in CONDITIONS)})
-    whole = [
+    unsolved = [one for one in finished if not all(by[*one, c].harm for c in CONDITIONS)]
+    harmful = [
         one
         for one in finished
-        if all(by[*one, c].healthy == 0.0 for c, (_, watched) in CONDITIONS.items() if not watched)
+        if one not in unsolved
+        and any(by[*one, c].healthy > 0.0 for c, (_, watched) in CONDITIONS.items() if not watched)
     ]
+    whole = [one for one in finished if one not in unsolved and one not in harmful]
     if not whole:
         yield "No task is finished yet.\n"
         return
     rows = {c: [by[task, robot, c] for task, robot in whole] for c in CONDITIONS}
     tasks = [task for task, _ in whole]
     per_task = {c: _by_task(tasks, [_harm(one) for one in row]) for c, row in rows.items()}
+    durations = {c: _by_task(tasks, [one.duration for one in row]) for c, row in rows.items()}
     seconds = sum(one.seconds for one in done)
-    left_out = [f"`{task}`" for task, robot in finished if (task, robot) not in whole]
     yield f"{len(set(tasks))} tasks, {len(whole)} robots; {seconds:.0f} s of processor time.\n"
-    if left_out:
-        yield f"Left out, because the robot does harm without a failure and a monitor: {', '.join(left_out)}.\n"
+    for reason, left_out in (
+        ("the planner finds no motion", unsolved),
+        ("the robot does harm without a failure and a monitor", harmful),
+    ):
+        if left_out:
+            yield f"Left out, because {reason}: {', '.join(f'`{task}`' for task, _ in left_out)}.\n"
+    base = per_task["w = 0"]
+    yield targets(_targets(base, per_task[WATCHED], durations["w = 0"], durations[WATCHED], rows))
     yield "| condition | harm of a failed episode | duration | harm per task, of w = 0 | less by | median of tasks |"
     yield "|---|---:|---:|---:|---:|---:|"
-    base = per_task["w = 0"]
     for c, row in rows.items():
         harm = float(np.mean([_mean(one.harm.values()) for one in row]))
         less = _ratio(base, per_task[c])
-        some = base > 0.0
-        median = float(np.median(base[some] / np.maximum(per_task[c][some], 1e-12)))
         duration = np.mean([one.duration for one in row])
         yield (
             f"| {c} | {harm:.2f} | {duration:.2f} s | {1.0 / less.mean:.2f} "
             f"| {less.mean:.2f} [{less.low:.2f}, {less.high:.2f}] "
-            f"| {median:.2f} |"
+            f"| {_median_of_ratios(base, per_task[c])} |"
         )
     yield ""
     yield from _stops(rows)
     yield from _by_fault(rows)
+    yield from _by_degree([one for one in done if one.condition == WATCHED and one.harm])
+    yield "Task by task, harm of a failed episode times duration:\n"
+    yield f"| task | {' | '.join(CONDITIONS)} | plan, longer |"
+    yield "|---|" + "---:|" * (len(CONDITIONS) + 1)
+    for i, task in enumerate(sorted(set(tasks))):
+        harms = " | ".join(f"{per_task[c][i]:.2f}" for c in CONDITIONS)
+        yield f"| {task} | {harms} | {100.0 * (durations[WATCHED][i] / durations['w = 0'][i] - 1.0):+.0f} % |"
+    yield ""
+
+
+def _targets(
+    base: np.ndarray,
+    both: np.ndarray,
+    fastest: np.ndarray,
+    duration: np.ndarray,
+    rows: Mapping[str, Sequence[Episodes]],
+) -> Iterator[Target]:
+    less = _median_of_ratios(base, both)
+    yield Target(
+        what="plan and monitor: x less harm of mixed faults per task than w = 0, median of tasks",
+        wanted=">= 3",
+        measured=str(less),
+        met=less.mean >= 3.0,
+    )
+    stopped = [stop for row in rows.values() for one in row for stop in one.stopped]
+    yield Target(
+        what="healthy tasks stopped by a false alarm",
+        wanted="<= 0.01",
+        measured=str(estimate_probability(stopped)),
+        met=bool(np.mean(stopped) <= 0.01),
+    )
+    longer = _median_of_ratios(duration, fastest)
+    yield Target(
+        what="plan: duration over that of w = 0, median of tasks",
+        wanted="<= 1.05",
+        measured=str(longer),
+        met=longer.mean <= 1.05,
+    )
 
 
 def _stops(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
@@ -278,6 +339,36 @@ def _by_fault(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
         after = f"{np.median(delays[seen]):.2f}" if seen.any() else "-"
         harms = " | ".join(f"{_mean(one.harm[fault] for one in row):.1f}" for row in rows.values())
         yield f"| {fault.split('/')[0]} | {seen.sum()} of {len(seen)} | {after} | {often} | {harms} |"
+    yield ""
+
+
+def _by_degree(watched: Sequence[Episodes]) -> Iterator[str]:
+    """Yield the share of noticed faults and the median time to the notice, by fault and degree."""
+    degrees = ("minor", "moderate", "severe", "critical")
+    tasks = {one.task for one in watched if one.degree != "severe"}
+    if not tasks:
+        return
+    yield f"Noticed, and after how many seconds in the median, on {len(tasks)} tasks with the plan:\n"
+    yield f"| fault | {' | '.join(degrees)} |"
+    yield "|---|" + "---:|" * len(degrees)
+    names = list(dict.fromkeys(fault.split("/")[0] for one in watched for fault in one.harm))
+    for name in names:
+        cells = []
+        for degree in degrees:
+            delays = np.array(
+                [
+                    delay
+                    for one in watched
+                    if one.degree == degree and one.task in tasks and one.robot == 0
+                    for fault, delay in one.delay.items()
+                    if fault.split("/")[0] == name
+                ],
+                dtype=float,
+            )
+            seen = np.isfinite(delays)
+            after = f", {np.median(delays[seen]):.2f} s" if seen.any() else ""
+            cells.append(f"{seen.sum()} of {len(seen)}{after}")
+        yield f"| {name} | {' | '.join(cells)} |"
     yield ""
 
 
@@ -303,3 +394,10 @@ def _ratio(first: np.ndarray, second: np.ndarray) -> Estimate:
         return float(pairs[:, 0].sum() / max(pairs[:, 1].sum(), 1e-12))
 
     return cluster_bootstrap(np.stack([first, second], axis=1), np.arange(len(first)), ratio, resamples=2000)
+
+
+def _median_of_ratios(first: np.ndarray, second: np.ndarray) -> Estimate:
+    """Return the median over tasks of the ratio, with an interval from a bootstrap over tasks; 0 / 0 is left out."""
+    some = first > 0.0
+    ratios = first[some] / np.maximum(second[some], 1e-12)
+    return cluster_bootstrap(ratios, np.arange(len(ratios)), lambda rows: float(np.median(rows)), resamples=2000)

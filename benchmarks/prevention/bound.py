@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,6 +24,8 @@ from benchmarks.prevention.runs import NONE, SEED, kinds, least_severity
 from benchmarks.store import read_lines, tasks_left
 from failbench import ExecutionRefused, SimSettings
 from failbench.basics.statistics import Estimate, cluster_bootstrap
+from failbench.fault.fault import Fault
+from failbench.rollouts.sampling import make_requests
 
 Array = np.ndarray
 
@@ -38,8 +41,8 @@ PRIORS: Mapping[str, gp.ImpactCost] = MappingProxyType(
 )
 WEIGHTS = (0.3, 1.0, 3.0)
 SEEDS, PLANNERS = (1, 2), ("rrt_star", "prm_star")
-DISTINCT = 6
-"""Candidates of each call with w > 0."""
+DISTINCT, MOST = 4, 44
+"""Candidates of each call with w > 0, and motions of a task, the first ones of all calls before further candidates."""
 TASKS = (
     "bedside/bring_pills",
     "desk/bring_coffee",
@@ -57,11 +60,9 @@ TASKS = (
     "dining_table/move_bottle",
 )
 """Half of them unseen, in the order of a run that time may end early."""
-SIZES = {"drops": (3, 128), "mixed": (3, 95)}
-"""Rounds of `choose`, and failures of each judged motion."""
-LONG_SIZES = {"drops": (6, 400), "mixed": (5, 380)}
-RACE_SECONDS = 3600.0
-"""Limit of a choice; the rounds end it earlier [s]."""
+SIZES = {"drops": (40, 96), "mixed": (38, 76)}
+"""Failures of every motion that choose, and of the judged motions that judge."""
+LONG_SIZES = {"drops": (400, 400), "mixed": (228, 228)}
 PRIOR_OF = {"drops": "default", "mixed": "service"}
 """The prior that predicts each kind of failures."""
 PLACES = 50
@@ -71,19 +72,19 @@ SURE = 1.1
 MEASURED = f"""\
 How much less harm could any choice among many motions do? Each task is planned in {SECONDS:g} s per call with the
 default, the service and the arm prior at w = 0.3, 1 and 3, with other seeds, planners and speeds. Each call returns up
-to {DISTINCT} distinct motions (`candidates={DISTINCT}`). "Best": the motion with the least harm per executed task in a
-race over all of them: `failbench.choose`, with the same failures for each; after each round the worse half is dropped
-and the number of failures doubles. Other failures judge it, the same for all motions of the tables. **Share of what is
-attainable**: the relative reduction of harm per task against w = 0, summed over the tasks, over that of the best
-motion. "At the same speed": over that of the best motion among those at {SPEED:g} of the velocity limits, the speed of
-the named motions. The choice of the best is noisy, so shares may exceed 1. Intervals (95 %) come from resampled tasks.
-Harm and failures are those of `prevention`, damage to the carried object included; "others only" leaves it out.
+to {DISTINCT} distinct motions (`candidates={DISTINCT}`), of which up to {MOST} a task count. Every motion fails in the
+same ways. "Best": the motion with the least harm per executed task on some failures. It is judged on other failures, as
+all motions of the tables are. **Share of what is attainable**: the relative reduction of harm per task against w = 0,
+summed over the tasks, over that of the best motion. "At the same speed": over that of the best motion among those at
+{SPEED:g} of the velocity limits, the speed of the named motions. The choice of the best is noisy, so shares may exceed
+1. Intervals (95 %) come from resampled tasks. Harm and failures are those of `prevention`, damage to the carried object
+included; "others only" leaves it out.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundJob:
-    """A task; for each kind of failures, the rounds that choose and the number of failures that judge."""
+    """A task, and the numbers of failures of each kind: to choose, and to judge."""
 
     task: str
     sizes: Mapping[str, tuple[int, int]]
@@ -122,7 +123,7 @@ class Bound:
         task: "scene/task".
         duration: Duration by motion [s].
         modelled: The model's view, by motion.
-        first: Harm per executed task in the race, without the rate of failures, by kind of failures, then by motion.
+        first: Harm per failure on the failures that choose, by kind of failures, then by motion.
         second: Harm per failure on the failures that judge, for the named motions and for those that were chosen.
         others: The part of `second` that is not the loss of the carried object.
         best: The chosen motion, by kind.
@@ -152,7 +153,12 @@ def name_of(prior: str, w: float) -> str:
     return f"{prior}, w = {w:g}"
 
 
-NAMED = (NONE, *(name_of(prior, w) for w in WEIGHTS for prior in PRIORS))
+NAMED = (
+    NONE,
+    *(name_of(prior, WEIGHTS[0]) for prior in PRIORS),
+    *(name_of("default", w) for w in WEIGHTS[1:]),
+    name_of("service", WEIGHTS[2]),
+)
 """Motions that are always judged."""
 DEFAULT = name_of("default", WEIGHTS[0])
 
@@ -160,62 +166,44 @@ DEFAULT = name_of("default", WEIGHTS[0])
 def do_bound(job: BoundJob) -> Bound:
     """Plan a task in all ways, choose the best motion on some failures, and judge it on others."""
     task = suite.task(job.task)
-    motions, grasp = _executable(dict(_planned(task)), task)
-    nothing = Bound(
-        task=job.task,
-        duration={name: motion.duration for name, motion in motions.items()},
-        modelled={},
-        first={},
-        second={},
-        others={},
-        best={},
-        best_at_speed={},
-    )
-    if not {NONE, DEFAULT} <= motions.keys():
-        return nothing
-    settings = SimSettings(grasp=grasp)
+    executions = _executed(dict(islice(_planned(task), MOST)), task)
+    motions = {name: execution.trajectory for name, execution in executions.items()}
     first: dict[str, dict[str, float]] = {}
     second: dict[str, dict[str, float]] = {}
     others: dict[str, dict[str, float]] = {}
     best: dict[str, str] = {}
     best_at_speed: dict[str, str] = {}
-    at_speed = {name for name in motions if "speed" not in name}
-    for kind, (rounds, judging) in job.sizes.items():
+    for kind, (choosing, judging) in job.sizes.items() if {NONE, DEFAULT} <= motions.keys() else ():
         faults = kinds(task)[kind]
-        race = fb.choose(
-            list(motions.values()),
-            task.scene,
-            faults,
-            seconds=RACE_SECONDS,
-            rounds=rounds,
-            seed=SEED + 1,
-            rate=3600.0,  # one failure per second of motion
-            threads=1,
-            settings=settings,
-        )
-        names = list(motions)
-        harm = {name: found.mean for name, found in zip(names, race.harm, strict=True) if found is not None}
-        raced = dict(zip(names, race.n, strict=True))
-        first[kind], best[kind] = harm, names[race.best]
-        best_at_speed[kind] = min(at_speed & harm.keys(), key=lambda name: (-raced[name], harm[name]))
+        first[kind] = {name: _harm(one, faults, choosing, SEED + 1)[0] for name, one in executions.items()}
+        ranked = sorted(motions, key=lambda name: first[kind][name] * motions[name].duration)
+        best[kind] = ranked[0]
+        best_at_speed[kind] = next(name for name in ranked if "speed" not in name)
         second[kind], others[kind] = {}, {}
         for name in dict.fromkeys([*NAMED, best[kind], best_at_speed[kind]]):
-            if name in motions:
-                found = fb.validate(
-                    motions[name], task.scene, faults, n=judging, seed=SEED + 2, threads=1, settings=settings
-                )
-                least = least_severity(task.scene) / found.n  # one hit counts if there is none
-                second[kind][name] = max(found.observed.mean, least)
-                others[kind][name] = max(found.observed.mean - found.own_loss.mean, least)
-    return replace(
-        nothing,
-        modelled=_modelled(motions, task),
+            if name in executions:
+                second[kind][name], others[kind][name] = _harm(executions[name], faults, judging, SEED + 2)
+    return Bound(
+        task=job.task,
+        duration={name: motion.duration for name, motion in motions.items()},
+        modelled=_modelled(motions, task) if first else {},
         first=first,
         second=second,
         others=others,
         best=best,
         best_at_speed=best_at_speed,
     )
+
+
+def _harm(execution: fb.Execution, faults: Sequence[Fault], n: int, seed: int) -> tuple[float, float]:
+    """Return the harm per failure, and without the loss of the carried object; one hit counts if there is none."""
+    jobs = make_requests(faults, execution.trajectory.duration, n=n, seed=seed)
+    rollouts = [one for one in fb.run_rollouts(execution, jobs, threads=1) if one.status == "completed"]
+    scene = execution.world.scene
+    least = least_severity(scene) / len(jobs)
+    own = float(np.mean([fb.own_loss(one, scene) for one in rollouts]))
+    whole = float(np.mean([fb.observed_impact(one, scene) for one in rollouts]))
+    return max(whole, least), max(whole - own, least)
 
 
 def _planned(task: gp.Task) -> Iterator[tuple[str, gp.Trajectory]]:
@@ -233,12 +221,17 @@ def _planned(task: gp.Task) -> Iterator[tuple[str, gp.Trajectory]]:
     calls |= {f"w = 1, seed {seed}": (usual, 1.0, {"seed": SEED + seed}) for seed in SEEDS}
     calls |= {f"w = 1, {planner}": (usual, 1.0, {"planner": planner}) for planner in PLANNERS}
     calls |= {f"w = 0.3, speed {speed:g}": (usual, 0.3, {"speed": speed}) for speed in OTHER_SPEEDS}
-    for name, (impact, w, settings) in calls.items():
-        result = planned(impact, w, candidates=DISTINCT if w > 0.0 else 1, **settings)
+    results = {
+        name: planned(impact, w, candidates=DISTINCT if w > 0.0 else 1, **settings)
+        for name, (impact, w, settings) in calls.items()
+    }
+    for name, result in results.items():
         if result.trajectory is not None:
             yield name, result.trajectory
-        for k, other in enumerate(result.candidates[1:], 1):
-            yield f"{name}, candidate {k}", other.unwrap()
+    for k in range(1, DISTINCT):
+        for name, result in results.items():
+            if k < len(result.candidates):
+                yield f"{name}, candidate {k}", result.candidates[k].unwrap()
 
 
 def _modelled(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> dict[str, Modelled]:
@@ -267,30 +260,33 @@ def _places(motion: gp.Trajectory, scene: gp.Scene) -> Array:
     return (batch.tool_poses if scene.carried is None else batch.object_poses)[:, :3, 3]
 
 
-def _executable(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> tuple[dict[str, gp.Trajectory], str]:
-    """Return the motions that the healthy robot can execute, and the grasp.
+def _executed(motions: Mapping[str, gp.Trajectory], task: gp.Task) -> dict[str, fb.Execution]:
+    """Return the executions of the motions that the healthy robot can execute without harm.
 
-    The grasp is a weld if fingers lose the object at w = 0 or with the default.
+    Fingers hold the object, or a weld if they lose it at w = 0 or with the default.
     """
-    can: dict[str, gp.Trajectory] = {}
+    can: dict[str, fb.Execution] = {}
     for grasp in ("fingers", "weld"):
         world = fb.build_world(task.scene, SimSettings(grasp=grasp))
-        can = {name: motion for name, motion in motions.items() if _executes(motion, world)}
+        tried = {name: _execution(motion, world) for name, motion in motions.items()}
+        can = {name: one for name, one in tried.items() if one is not None}
         if {NONE, DEFAULT} <= can.keys():
-            return can, grasp
-    return can, "weld"
+            break
+    return can
 
 
-def _executes(motion: gp.Trajectory, world: fb.World) -> bool:
+def _execution(motion: gp.Trajectory, world: fb.World) -> fb.Execution | None:
+    """Return the execution of a motion; None if the healthy robot cannot execute it or does harm."""
     try:
-        return fb.execute(motion, world).healthy.harmless
+        execution = fb.execute(motion, world)
     except ExecutionRefused:
-        return False
+        return None
+    return execution if execution.healthy.harmless else None
 
 
 def bound_sizes(options: suite.Options) -> Mapping[str, tuple[int, int]]:
-    """Return the rounds that choose and the number of failures that judge, by kind."""
-    return options.pick(SIZES, quick={"drops": (1, 8), "mixed": (1, 19)}, long=LONG_SIZES)
+    """Return the numbers of failures of each kind: to choose, and to judge."""
+    return options.pick(SIZES, quick={"drops": (8, 8), "mixed": (19, 19)}, long=LONG_SIZES)
 
 
 def bound_jobs(file: Path, options: suite.Options) -> list[BoundJob]:
@@ -316,7 +312,7 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
         return f"{MEASURED}\nNo task is finished yet.\n"
     unseen = sum(one.task.split("/")[0] in suite.unseen_scenes() for one in found)
     counts = [len(one.duration) for one in found]
-    told = "; ".join(f"{kind}: {rounds} rounds choose, {n} failures judge" for kind, (rounds, n) in sizes.items())
+    told = "; ".join(f"{kind}: {a} failures of each motion choose, {b} judge" for kind, (a, b) in sizes.items())
     parts = [
         MEASURED,
         f"{len(found)} of {len(TASKS)} tasks, {unseen} of them unseen, with {min(counts)} to {max(counts)} motions."
@@ -360,10 +356,10 @@ What keeps the planner from the best motion? The planner's motion at w = {WEIGHT
 service prior) against the best one at the same speed. "Observed": its harm per task over that of the best; "predicted":
 the same ratio by the model. "J": cost of the best motion over that of the planner's at w = {WEIGHTS[0]:g}. Geometry of
 the best against the default motion: mean height of the carried object, greatest horizontal distance, and distance of
-the last configuration. "Rank": Spearman's correlation of predicted and observed harm per task over all motions in the
-race. Limit, if the best does {SURE:g} times less harm: **search** if the best has less J, so that the planner missed
-it; **weight** if the model knows that it is safer, but it is not worth its motion; **model** if the model predicts more
-harm for it than for the planner's.
+the last configuration. "Rank": Spearman's correlation of predicted and observed harm per task over all motions, on the
+failures that choose. Limit, if the best does {SURE:g} times less harm: **search** if the best has less J, so that the
+planner missed it; **weight** if the model knows that it is safer, but it is not worth its motion; **model** if the
+model predicts more harm for it than for the planner's.
 """
 _LIMITS = (
     "task", "failures", "best at the same speed", "observed", "predicted", "J", "duration", "height", "aside", "end",
@@ -493,7 +489,7 @@ def rank_of(one: Bound, kind: str) -> float:
 
     NaN if either is constant.
     """
-    observed = one.first[kind]
+    observed = {name: harm * one.duration[name] for name, harm in one.first[kind].items()}
     predicted = [one.modelled[name].impact[PRIOR_OF[kind]] for name in observed]
     if np.ptp(predicted) == 0.0 or np.ptp(list(observed.values())) == 0.0:
         return math.nan
