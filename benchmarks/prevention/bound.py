@@ -143,6 +143,21 @@ class Bound:
         """Return the relative reduction of harm per executed task against w = 0, on the failures that judge."""
         return 1.0 - self.per_task(kind, name, others=others) / self.per_task(kind, NONE, others=others)
 
+    def less_first(self, kind: str, name: str) -> float:
+        """Return the same on the failures that choose, for a motion that was chosen without them."""
+        a, b = (self.first[kind][which] * self.duration[which] for which in (name, NONE))
+        return 1.0 - a / b
+
+    def least(self, prior: str, w: float) -> str:
+        """Return the motion at `SPEED` of least J; with an infinite weight, of least predicted harm per task."""
+        if math.isinf(w):
+            return min(self._at_speed, key=lambda name: self.modelled[name].impact[prior])
+        return min(self._at_speed, key=lambda name: self.modelled[name].cost(prior, w))
+
+    @property
+    def _at_speed(self) -> list[str]:
+        return [name for name in self.duration if at_speed(name)]
+
     def per_task(self, kind: str, name: str, *, others: bool = False) -> float:
         """Return the harm per executed task, without the rate of failures."""
         return (self.others if others else self.second)[kind][name] * self.duration[name]
@@ -151,6 +166,11 @@ class Bound:
 def name_of(prior: str, w: float) -> str:
     """Return the label of a motion."""
     return f"{prior}, w = {w:g}"
+
+
+def at_speed(name: str) -> bool:
+    """Return whether a motion is planned at `SPEED`."""
+    return "speed" not in name
 
 
 NAMED = (
@@ -178,7 +198,7 @@ def do_bound(job: BoundJob) -> Bound:
         first[kind] = {name: _harm(one, faults, choosing, SEED + 1)[0] for name, one in executions.items()}
         ranked = sorted(motions, key=lambda name: first[kind][name] * motions[name].duration)
         best[kind] = ranked[0]
-        best_at_speed[kind] = next(name for name in ranked if "speed" not in name)
+        best_at_speed[kind] = next(name for name in ranked if at_speed(name))
         second[kind], others[kind] = {}, {}
         for name in dict.fromkeys([*NAMED, best[kind], best_at_speed[kind]]):
             if name in executions:
@@ -324,6 +344,9 @@ def bound_table(found: Sequence[Bound], sizes: Mapping[str, tuple[int, int]]) ->
         parts += [
             f"Named motions, {kind}:\n",
             report.table(_SHARES, [_share_row(found, kind, name) for name in (*names, BEST, BEST_AT_SPEED)]),
+            f"The motion that the model ranks first among all at the same speed, {kind}, {PRIOR_OF[kind]} prior, on the"
+            " failures that choose, which it does not know:\n",
+            report.table(_PICKS, [_pick_row(found, kind, w) for w in (*WEIGHTS, math.inf)]),
         ]
     parts += [
         f"A heavier weight, against w = {WEIGHTS[0]:g} with the same prior:\n",
@@ -343,6 +366,10 @@ BEST, BEST_AT_SPEED = "best", "best at the same speed"
 _SHARES = (
     "motion", "harm per task, x less, median", "geometric mean", "share of what is attainable", "at the same speed",
     "duration",
+)  # fmt: skip
+_PICKS = (
+    "least", "harm per task, x less, median", "geometric mean", "share of what is attainable at the same speed",
+    "duration", "J over that of the planner's own motion, median",
 )  # fmt: skip
 _HEAVIER = (
     "failures", "prior", "w", "harm per task, x less, geometric mean", "others only", "worse", "better", "duration"
@@ -379,7 +406,7 @@ def _targets(found: Sequence[Bound]) -> Iterator[report.Target]:
             )
 
 
-def share_of(found: Sequence[Bound], kind: str, name: str, *, at_speed: bool = False) -> Estimate:
+def share_of(found: Sequence[Bound], kind: str, name: str, *, same_speed: bool = False) -> Estimate:
     """Return the summed reduction of a motion over that of the best one, with an interval from resampled tasks.
 
     Tasks without this motion are left out.
@@ -388,20 +415,14 @@ def share_of(found: Sequence[Bound], kind: str, name: str, *, at_speed: bool = F
         found: The tasks.
         kind: Kind of failures.
         name: The motion.
-        at_speed: Whether to compare with the best motion at the same speed.
+        same_speed: Whether to compare with the best motion at the same speed.
     """
-    reductions = np.array(
-        [
-            [one.less(kind, name), one.less(kind, (one.best_at_speed if at_speed else one.best)[kind])]
-            for one in found
-            if name in one.second[kind]
-        ]
+    having = [one for one in found if name in one.second[kind]]
+    best = [(one.best_at_speed if same_speed else one.best)[kind] for one in having]
+    return _share(
+        np.array([one.less(kind, name) for one in having]),
+        np.array([one.less(kind, which) for one, which in zip(having, best, strict=True)]),
     )
-
-    def share(rows: Array) -> float:
-        return float(rows[:, 0].sum() / max(rows[:, 1].sum(), 1e-9))
-
-    return cluster_bootstrap(reductions, np.arange(len(reductions)), share, resamples=2000)
 
 
 def _share_row(found: Sequence[Bound], kind: str, name: str) -> Sequence[object]:
@@ -411,10 +432,42 @@ def _share_row(found: Sequence[Bound], kind: str, name: str) -> Sequence[object]
     shares = (
         ("", "")
         if name in (BEST, BEST_AT_SPEED)
-        else tuple(str(share_of(found, kind, name, at_speed=at_speed)) for at_speed in (False, True))
+        else tuple(str(share_of(found, kind, name, same_speed=same)) for same in (False, True))
     )
     geometric = float(np.exp(np.mean(np.log(ratio))))
     return name, f"{np.median(ratio):.2f}", f"{geometric:.2f}", *shares, f"{100.0 * (longer - 1.0):+.0f} %"
+
+
+def _pick_row(found: Sequence[Bound], kind: str, w: float) -> Sequence[object]:
+    """Return what a perfect search over these motions would bring."""
+    prior = PRIOR_OF[kind]
+    picks = [one.least(prior, w) for one in found]
+    less = np.array([one.less_first(kind, pick) for one, pick in zip(found, picks, strict=True)])
+    best = np.array([one.less(kind, one.best_at_speed[kind]) for one in found])
+    longer = np.median([one.duration[pick] / one.duration[NONE] for one, pick in zip(found, picks, strict=True)])
+    own = name_of(prior, w)
+    gaps = [
+        one.modelled[pick].cost(prior, w) / one.modelled[own].cost(prior, w)
+        for one, pick in zip(found, picks, strict=True)
+        if own in one.modelled
+    ]
+    return (
+        "predicted harm" if math.isinf(w) else f"J at w = {w:g}",
+        f"{np.median(1.0 / (1.0 - less)):.2f}",
+        f"{np.exp(np.mean(-np.log(1.0 - less))):.2f}",
+        str(_share(less, best)),
+        f"{100.0 * (longer - 1.0):+.0f} %",
+        f"{np.median(gaps):.2f}" if gaps else "",
+    )
+
+
+def _share(reduction: Array, best: Array) -> Estimate:
+    """Return a summed reduction over that of the best motion, with an interval from resampled tasks."""
+
+    def share(rows: Array) -> float:
+        return float(rows[:, 0].sum() / max(rows[:, 1].sum(), 1e-9))
+
+    return cluster_bootstrap(np.stack([reduction, best], axis=1), np.arange(len(best)), share, resamples=2000)
 
 
 def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Sequence[object]]:

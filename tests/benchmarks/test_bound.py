@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,16 @@ def test_the_tables_show_every_task_and_the_best_motion():
 def test_what_keeps_the_planner_from_the_best_motion(best: Modelled, limit: str):
     assert limit_of(bound("a/x", 4.0, 2.0, 1.0, modelled=best), "drops") == limit
     assert limit_of(bound("a/x", 4.0, 2.0, 1.95, modelled=best), "drops") == ""  # too little to tell
+
+
+def test_the_model_picks_by_cost_or_by_predicted_harm_among_motions_at_the_same_speed():
+    one = bound("a/x", 4.0, 2.0, 1.0, modelled=seen(motion=3.0, impact=0.5))
+    fast = "w = 0.3, speed 0.65"
+    one = replace(one, duration={**one.duration, fast: 0.7}, modelled={**one.modelled, fast: seen(0.1, 0.1)})
+    assert one.least("default", 0.3) == NONE  # first of those with 1 + 0.3
+    assert one.least("default", 10.0) == "other"  # 3 + 5
+    assert one.least("default", math.inf) == "other"
+    assert one.less_first("drops", "other") == pytest.approx(0.75)
 
 
 def test_the_rank_correlation_is_that_of_predicted_and_raced_harm():
