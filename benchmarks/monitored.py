@@ -259,12 +259,14 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
     durations = {c: _by_task(tasks, [one.duration for one in row]) for c, row in rows.items()}
     seconds = sum(one.seconds for one in done)
     yield f"{len(set(tasks))} tasks, {len(whole)} robots; {seconds:.0f} s of processor time.\n"
-    for reason, left_out in (
-        ("the planner finds no motion", unsolved),
-        ("the robot does harm without a failure and a monitor", harmful),
-    ):
-        if left_out:
-            yield f"Left out, because {reason}: {', '.join(f'`{task}`' for task, _ in left_out)}.\n"
+    if unsolved:
+        yield f"Left out, because the planner finds no motion: {_names(unsolved)}.\n"
+    if harmful:
+        stopped = [stop for task, robot in harmful for c in CONDITIONS for stop in by[task, robot, c].stopped]
+        yield (
+            f"Left out, because the robot does harm without a failure and a monitor: {_names(harmful)}. The monitor"
+            f" stops {sum(stopped)} of {len(stopped)} robots without a failure there.\n"
+        )
     base = per_task["w = 0"]
     yield targets(_targets(base, per_task[WATCHED], durations["w = 0"], durations[WATCHED], rows))
     yield "| condition | harm of a failed episode | duration | harm per task, of w = 0 | less by | median of tasks |"
@@ -289,6 +291,10 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
         harms = " | ".join(f"{per_task[c][i]:.2f}" for c in CONDITIONS)
         yield f"| {task} | {harms} | {100.0 * (durations[WATCHED][i] / durations['w = 0'][i] - 1.0):+.0f} % |"
     yield ""
+
+
+def _names(found: Sequence[tuple[str, int]]) -> str:
+    return ", ".join(f"`{task}`" for task, _ in found)
 
 
 def _targets(

@@ -53,7 +53,7 @@ def test_targets_are_medians_over_the_tasks():
 def test_tasks_without_a_motion_or_with_harm_by_the_healthy_robot_are_named_and_left_out():
     text = "\n".join(tables([*whole("a/x", 1.0), *whole("b/y", 1.0, healthy=5.0), *unsolved("c/z")]))
     assert "1 tasks, 1 robots" in text
-    assert "harm without a failure and a monitor: `b/y`" in text
+    assert "harm without a failure and a monitor: `b/y`. The monitor stops 2 of 4" in text
     assert "finds no motion: `c/z`" in text
     assert "No task is finished" in "\n".join(tables(unsolved("c/z")))
 
