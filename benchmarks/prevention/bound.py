@@ -462,12 +462,16 @@ def _pick_row(found: Sequence[Bound], kind: str, w: float) -> Sequence[object]:
 
 
 def _share(reduction: Array, best: Array) -> Estimate:
-    """Return a summed reduction over that of the best motion, with an interval from resampled tasks."""
+    """Return a summed reduction over that of the best motion, with an interval from resampled tasks.
+
+    At least nothing is attainable in a task: the motion at w = 0 is one of the motions.
+    """
+    attainable = np.maximum(best, 0.0)
 
     def share(rows: Array) -> float:
         return float(rows[:, 0].sum() / max(rows[:, 1].sum(), 1e-9))
 
-    return cluster_bootstrap(np.stack([reduction, best], axis=1), np.arange(len(best)), share, resamples=2000)
+    return cluster_bootstrap(np.stack([reduction, attainable], axis=1), np.arange(len(best)), share, resamples=2000)
 
 
 def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Sequence[object]]:

@@ -60,6 +60,11 @@ def test_the_share_sums_reductions_over_tasks():
     assert share_of([bound("a/x", 4.0, 1.0, 1.0)], "mixed", DEFAULT).mean == pytest.approx(1.0)
 
 
+def test_a_best_motion_that_does_more_harm_than_at_w_0_leaves_nothing_attainable():
+    two = [bound("a/x", 4.0, 2.0, 8.0), bound("b/y", 4.0, 2.0, 2.0)]
+    assert share_of(two, "drops", DEFAULT).mean == pytest.approx((0.5 + 0.5) / (0.0 + 0.5))
+
+
 def test_harm_per_task_counts_the_duration():
     slow = bound("a/x", 4.0, 2.0, 1.0, longer=2.0)
     assert slow.less("drops", "other") == pytest.approx(0.5)
