@@ -479,7 +479,7 @@ def _heavier_rows(found: Sequence[Bound], kind: str, prior: str) -> Iterator[Seq
     for w in WEIGHTS[1:]:
         heavy = name_of(prior, w)
         both = [one for one in found if {light, heavy} <= one.second[kind].keys()]
-        if not both:
+        if heavy not in NAMED or not both:  # others are judged only where they were chosen
             continue
         logs = _log_ratios(both, kind, light, heavy, others=False)
         told = [_geometric(_log_ratios(both, kind, light, heavy, others=others)) for others in (False, True)]
