@@ -56,7 +56,7 @@ CONDITIONS: Mapping[str, tuple[float | None, bool]] = {
 TASKS, LONG_TASKS, SEED = 14, 23, 4100
 WATCHED = "plan, monitor"
 OTHER_DEGREES, DEGREE_TASKS = ("minor", "moderate", "critical"), 6
-"""Degrees besides severe at which faults are noticed or missed, on the first tasks with the condition `WATCHED`."""
+"""Further degrees of faults for the table of notices, on the first tasks with the condition `WATCHED`."""
 MEASURED = f"""\
 **Monitor.** The motion runs by the clock, with a reading every {1e3 * PERIOD:g} ms. The limits come from healthy runs
 of two tasks of each of {len(HEALTHY)} bundled scenes, by {ROBOTS} robots each, for {RATE:g} false alarm an hour; no

@@ -42,7 +42,7 @@ PRIORS: Mapping[str, gp.ImpactCost] = MappingProxyType(
 WEIGHTS = (0.3, 1.0, 3.0)
 SEEDS, PLANNERS = (1, 2), ("rrt_star", "prm_star")
 DISTINCT, MOST = 4, 44
-"""Candidates of each call with w > 0, and motions of a task, the first ones of all calls before further candidates."""
+"""Candidates of each call with w > 0, and motions of a task; first motions of calls come before further candidates."""
 TASKS = (
     "bedside/bring_pills",
     "desk/bring_coffee",
@@ -439,7 +439,7 @@ def _share_row(found: Sequence[Bound], kind: str, name: str) -> Sequence[object]
 
 
 def _pick_row(found: Sequence[Bound], kind: str, w: float) -> Sequence[object]:
-    """Return what a perfect search over these motions would bring."""
+    """Return the harm that a perfect search over these motions would prevent."""
     prior = PRIOR_OF[kind]
     picks = [one.least(prior, w) for one in found]
     less = np.array([one.less_first(kind, pick) for one, pick in zip(found, picks, strict=True)])
