@@ -283,7 +283,7 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
     yield ""
     yield from _stops(rows)
     yield from _by_fault(rows)
-    yield from _by_degree([one for one in done if one.condition == WATCHED and one.harm])
+    yield from _by_degree([one for one in done if one.condition == WATCHED and (one.task, one.robot) in whole])
     yield "Task by task, harm of a failed episode times duration:\n"
     yield f"| task | {' | '.join(CONDITIONS)} | plan, longer |"
     yield "|---|" + "---:|" * (len(CONDITIONS) + 1)

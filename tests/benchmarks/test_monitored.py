@@ -61,7 +61,8 @@ def test_tasks_without_a_motion_or_with_harm_by_the_healthy_robot_are_named_and_
 def test_notices_are_counted_by_degree():
     minor = episodes("a/x", WATCHED, 0.0, degree="minor", delay=math.nan)
     critical = episodes("a/x", WATCHED, 9.0, degree="critical", delay=0.05)
-    text = "\n".join(tables([*whole("a/x", 1.0), minor, critical]))
+    harmful = [*whole("b/y", 1.0, healthy=5.0), episodes("b/y", WATCHED, 1.0, degree="minor")]
+    text = "\n".join(tables([*whole("a/x", 1.0), minor, critical, *harmful]))
     assert "| gripper_failure | 0 of 1 | 0 of 0 | 1 of 1, 0.10 s | 1 of 1, 0.05 s |" in text
     assert "| noise | 0 of 1 | 0 of 0 | 0 of 1 | 0 of 1 |" in text
     assert "| gripper_failure | 0 of" not in "\n".join(tables(whole("a/x", 1.0)))
