@@ -18,7 +18,6 @@ namespace gp {
 void bind_impact(nb::module_& m) {
   m.def("drop_constants", [] { return names_of<DropConstants>(); });
   m.def("spill_constants", [] { return names_of<SpillConstants>(); });
-  m.def("body_constants", [] { return names_of<BodyConstants>(); });
   nb::class_<DropModel>(m, "DropModel")
       .def(
           "__init__",

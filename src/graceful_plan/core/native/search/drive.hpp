@@ -70,7 +70,6 @@ class Drive {
   }
 
   bool over() const { return over_; }
-  int expanded() const { return expanded_; }
   const std::vector<Point>& path() const { return path_; }
   double cost() const { return best_; }
 
