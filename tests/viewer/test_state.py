@@ -14,7 +14,7 @@ from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.failing import Failure, faults_of
 from graceful_plan.viewer.fall import coasting_at, fall_at
 from graceful_plan.viewer.question import Question, answered
-from graceful_plan.viewer.risk_layer import heat_colours
+from graceful_plan.viewer.risk_layer import HEAT, scale_colours
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.state import MOST_KEPT, ViewerState
 
@@ -192,7 +192,9 @@ def test_the_risk_map_is_dark_where_it_is_bad(state):
     assert layer.pixels.dtype == np.uint8 and layer.highest > 1.0 and (layer.size > 0.3).all()
     clear = layer.pixels[layer.pixels[..., 3] > 0]
     assert clear[:, 2].min() < 60 and clear[:, 2].max() > 200
-    np.testing.assert_array_equal(heat_colours(np.array([0.0, 1.0, 2.0]))[[0, 2]], [[255, 255, 255], [140, 13, 38]])
+    np.testing.assert_array_equal(
+        scale_colours(np.array([0.0, 1.0, 2.0]), HEAT)[[0, 2]], [[255, 255, 255], [140, 13, 38]]
+    )
 
 
 def test_a_base_has_a_map_of_the_floor(driving):

@@ -131,16 +131,16 @@ def _layer(impact: Float[Array, "y x"], low: Float[Array, " 3"], step: Float[Arr
     highest = max(_LEAST, float(np.nanmax(impact, initial=0.0)))
     known = ~np.isnan(impact)
     pixels = np.zeros((*impact.shape, 4), dtype=np.uint8)
-    pixels[..., :3] = heat_colours(np.where(known, impact, 0.0) / highest)
+    pixels[..., :3] = scale_colours(np.where(known, impact, 0.0) / highest, HEAT)
     # Transparent where the object cannot be, and nearly so without impact, to keep the scene below visible.
     opacity = _OPACITY * np.clip(np.where(known, impact, 0.0) / (_SEEN * highest), _FAINT, 1.0)
     pixels[..., 3] = np.where(known, np.round(255 * opacity), 0)
     return RiskLayer(pixels=pixels, low=low, size=step * np.array(impact.shape[::-1]), highest=highest)
 
 
-def heat_colours(share: Float[Array, "*shape"]) -> UInt8[Array, "*shape 3"]:
-    """Return the colours of `HEAT` for fractions of the maximum impact, in [0, 1]."""
-    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in HEAT], dtype=float)
+def scale_colours(share: Float[Array, "*shape"], scale: tuple[str, ...]) -> UInt8[Array, "*shape 3"]:
+    """Return the colours of a scale, such as `HEAT`, for fractions of the maximum impact, in [0, 1]."""
+    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in scale], dtype=float)
     place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
     channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]
     return np.stack(channels, axis=-1).round().astype(np.uint8)

@@ -6,9 +6,9 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Float
 from graceful_plan.viewer.fall import Coasting, Fall
-from graceful_plan.viewer.risk_layer import RiskLayer
+from graceful_plan.viewer.risk_layer import RiskLayer, scale_colours
 from graceful_plan.viewer.shown import ShownMotion
 
 Array = np.ndarray
@@ -22,14 +22,6 @@ _FALL, _FAR, _COAST = (214, 39, 40), (240, 140, 60), (180, 60, 160)
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 49)
 
 
-def risk_colours(share: Float[Array, " n"]) -> UInt8[Array, "n 3"]:
-    """Return colours for fractions of the maximum impact, in [0, 1]."""
-    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in RISK], dtype=float)
-    place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
-    channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]
-    return np.stack(channels, axis=-1).round().astype(np.uint8)
-
-
 def greatest_risk(motions: tuple[ShownMotion, ...]) -> float:
     """Return the impact of the last colour."""
     return max([_LEAST, *(float(motion.risk.max()) for motion in motions)])
@@ -39,7 +31,7 @@ def add_path(server: Any, name: str, motion: ShownMotion, greatest: float, *, th
     """Draw the path of the tool, coloured by the impact of a failure."""
     t = np.linspace(0.0, motion.duration, _PIECES + 1)
     at = np.array([motion.tool[motion.frame(x)] for x in t.tolist()])
-    colours = risk_colours(motion.risk_at(t) / greatest)
+    colours = scale_colours(motion.risk_at(t) / greatest, RISK)
     return server.scene.add_line_segments(
         name,
         np.stack([at[:-1], at[1:]], axis=1),
