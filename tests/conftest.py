@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -46,13 +48,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection_finish() -> None:
     """Collect garbage from now on, without a look at the modules and tests, and more rarely than by default."""
     gc.freeze()
+    # Python frees the modules at its exit; otherwise nanobind reports their objects as leaks.
+    # pytest collects garbage five times before that, without looking at them.
+    atexit.register(gc.unfreeze)
     gc.set_threshold(10_000)
     gc.enable()
-
-
-def pytest_unconfigure() -> None:
-    """Let Python free the modules at its exit, or nanobind reports what they hold as leaks."""
-    gc.unfreeze()
 
 
 def pytest_sessionstart() -> None:
@@ -69,9 +69,12 @@ def pytest_runtest_logstart() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Use a cache folder of the tests instead of the user's."""
+    """Use a cache folder of the tests instead of the user's; all processes of a run share it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         yield
 
 
