@@ -123,6 +123,8 @@ def test_iterations_make_it_reproducible(task, name):
     assert a.status is gp.PlanStatus.SOLVED
     np.testing.assert_array_equal(a.trajectory.q, b.trajectory.q)
     assert a.cost.total == b.cost.total
+    assert [point.total for point in a.trace] == [point.total for point in b.trace]
+    assert name == "rrt_connect" or len(a.trace) > 1
 
 
 def test_a_time_limit_besides_iterations_only_ends_them_early(task):
@@ -133,14 +135,8 @@ def test_a_time_limit_besides_iterations_only_ends_them_early(task):
     assert ended.status is not gp.PlanStatus.SOLVED or ended.stats["iterations"] < 10**9
 
 
-def test_iterations_make_intermediate_results_reproducible(task):
-    first, second = (_quick(task, iterations=400, seed=4) for _ in range(2))
-    assert len(first.trace) > 1
-    assert [point.total for point in first.trace] == [point.total for point in second.trace]
-
-
 def test_iterations_of_different_seeds_differ(task):
-    a, b = (_quick(task, iterations=300, seed=seed) for seed in (1, 2))
+    a, b = (_quick(task, iterations=60, seed=seed) for seed in (1, 2))
     assert not np.array_equal(a.path.q, b.path.q)
 
 
@@ -195,7 +191,7 @@ def test_start_is_goal(task):
 def test_an_object_on_its_support_is_lifted_first():
     task = gp.load_scene("dining_table").tasks["move_bottle"]
     assert gp.clearance(task.start, task.scene) <= 0.0, "the fast checker sees the bottle touch the table"
-    result = _quick(task)
+    result = _quick(task, iterations=60)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     np.testing.assert_array_equal(result.path.q[0], task.start)
 
@@ -242,7 +238,7 @@ _CORRIDOR = """<mujoco><compiler autolimits="true"/>
 def test_an_unreachable_goal_ends_on_time(name):
     scene = gp.Scene.from_mjcf(_CORRIDOR, robot="r/", tool="t")
     started = time.perf_counter()
-    result = gp.plan([0.0, 0.0], [1.0, 0.0], scene, planner=name, time_limit=0.2)
+    result = gp.plan([0.0, 0.0], [1.0, 0.0], scene, planner=name, time_limit=0.05)
     assert result.status is gp.PlanStatus.TIMEOUT and result.trajectory is None
     with pytest.raises(PlanningFailed, match="TIMEOUT"):
         result.unwrap()

@@ -327,10 +327,14 @@ def test_the_text_names_the_worst_place():
     )
 
 
-@pytest.mark.parametrize("bounds", [None, one_cell((0.0, 0.0)), one_cell((0.4, 0.0))], ids=["all", "blocked", "free"])
-def test_a_picture_is_drawn(bounds, tmp_path):
+@pytest.mark.parametrize(
+    ("bounds", "resolution"),
+    [(None, 0.08), (one_cell((0.0, 0.0)), 0.02), (one_cell((0.4, 0.0)), 0.02)],
+    ids=["all", "blocked", "free"],
+)
+def test_a_picture_is_drawn(bounds, resolution, tmp_path):
     scene = boxes((0.0, 0.0))
-    found = gp.impact_map(scene, height=0.05, speed=0.3, direction=0.5, bounds=bounds, resolution=0.02)
+    found = gp.impact_map(scene, height=0.05, speed=0.3, direction=0.5, bounds=bounds, resolution=resolution)
     assert str(found)
     draw_impact_map(found, scene, tmp_path / "picture.png")
     from matplotlib.image import imread

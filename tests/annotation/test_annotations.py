@@ -1,7 +1,7 @@
 import dataclasses
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
@@ -31,6 +31,7 @@ def test_a_file_is_read_back_as_it_was(tmp_path):
     assert (tmp_path / "s.yaml").read_text().count("\n") < 70  # a row of severities is a line
 
 
+@settings(max_examples=8)
 @given(st.text(max_size=30).map(lambda text: " ".join(text.split())))
 def test_any_reason_and_model_is_read_back(tmp_path_factory, text):
     file = tmp_path_factory.getbasetemp() / "reason.yaml"

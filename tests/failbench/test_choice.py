@@ -87,8 +87,9 @@ def test_misuse_is_refused(motions):
 def test_the_candidates_of_a_result_race(motions):
     scene = motions[0]
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
-    result = gp.plan(task.start, task.goal, task.scene, iterations=700, speed=0.6, candidates=3)
-    settings = {"seconds": 600.0, "rounds": 1, "threads": 1}
+    result = gp.plan(task.start, task.goal, task.scene, iterations=200, speed=0.6, candidates=3)
+    assert len(result.candidates) > 1
+    settings = {"seconds": 600.0, "rounds": 1, "horizon": HORIZON, "threads": 1}
     found = failbench.choose(result, scene, DROPS, **settings)
     same = failbench.choose(result.candidates, scene, DROPS, **settings)
     assert (found.best, found.harm, found.n) == (same.best, same.harm, same.n)

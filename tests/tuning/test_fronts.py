@@ -8,7 +8,7 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.tuning.fronts import ChoiceStatus, FrontProgress
 from graceful_plan.tuning.points import dominated_area
 
-_ITERATIONS = 1200
+_ITERATIONS = 600
 
 
 @pytest.fixture(scope="module")

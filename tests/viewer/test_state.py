@@ -34,8 +34,19 @@ def asked(question):
 @pytest.fixture(scope="module")
 def question():
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
-    # Twice the default time: tests share the machine, and both motions are needed.
-    return Question(scene=task.scene, start=task.start, goal=task.goal, w=1.0, time_limit=2.0)
+    return Question(scene=task.scene, start=task.start, goal=task.goal, w=1.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _planned_by_iterations():
+    """Plan with a number of iterations where the viewer gives a time limit."""
+
+    def plan(*args, time_limit, **given):
+        return gp.plan(*args, iterations=200, **given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("graceful_plan.viewer.question.plan", plan)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -300,7 +300,7 @@ def test_a_plan_avoids_a_pedestrian():
     )  # fmt: skip
     scene = task.scene.with_moving(ann)
     careful = gp.Objective(w=3.0)
-    given = {"seed": 0, "iterations": 300, "time_limit": 60.0}
+    given = {"seed": 0, "iterations": 150, "time_limit": 60.0}
     blind = gp.plan(task.start, task.goal, scene, objective=gp.Objective(w=0.0), **given).unwrap()
     aware = gp.plan(task.start, task.goal, scene, objective=careful, **given)
     found, harm = gp.evaluate(aware.unwrap(), scene, careful), gp.evaluate(blind, scene, careful)

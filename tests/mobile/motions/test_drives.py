@@ -16,6 +16,11 @@ def planned(goal, scene=SCENE, start="west", **given):
     return gp.plan(start, goal, scene, **given)
 
 
+@pytest.fixture(scope="module")
+def east():
+    return planned("east", w=1.0)
+
+
 def test_a_base_drives_around_obstacles():
     result = planned("east", w=0.0)  # with w > 0 it is slow near the person
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["rolling"].passed
@@ -27,16 +32,14 @@ def test_a_base_drives_around_obstacles():
     assert trajectory.duration < 1.15 * (8.0 / BASE.v_max + BASE.v_max / BASE.a_max)
 
 
-def test_results_have_the_stated_cost_and_pass_an_independent_check():
-    result = planned("east", w=1.0)
-    assert gp.evaluate(result.trajectory, SCENE, gp.Objective(w=1.0)).total == pytest.approx(result.cost.total)
-    assert gp.verify(result.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
+def test_results_have_the_stated_cost_and_pass_an_independent_check(east):
+    assert gp.evaluate(east.trajectory, SCENE, gp.Objective(w=1.0)).total == pytest.approx(east.cost.total)
+    assert gp.verify(east.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
 
 
-def test_candidates_drive_other_ways_and_pass_the_judge():
+def test_candidates_drive_other_ways_and_pass_the_judge(east):
     result = planned("east", w=1.0, candidates=3)
-    alone = planned("east", w=1.0)
-    np.testing.assert_array_equal(result.trajectory.q, alone.trajectory.q)
+    np.testing.assert_array_equal(result.trajectory.q, east.trajectory.q)
     assert 2 <= len(result.candidates) <= 3 and result.candidates[0].trajectory is result.trajectory
     for one in result.candidates:
         assert gp.verify(one.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed

@@ -75,7 +75,7 @@ def test_a_search_that_is_called_off_ends():
 
 def test_base_and_arm_go_to_a_pose():
     goal = gp.PoseGoal.at([3.9, 1.3, 0.95])
-    result = gp.plan("ready", goal, KITCHEN, w=0.0, iterations=1000)
+    result = gp.plan("ready", goal, KITCHEN, w=0.0, iterations=300)
     assert result.status is gp.PlanStatus.SOLVED
     assert gp.verify(result.trajectory, KITCHEN, goal=goal).passed
     assert result.verdict.checks["rolling"].passed

@@ -70,9 +70,10 @@ def test_paths_of_an_arm_cost_less() -> None:
 
 
 def test_two_runs_are_the_same() -> None:
-    problem, objective, first = _panda("tabletop_l1", "green_to_blue")
+    instance = disc()
+    planner = CasADi(initial=_bad_path(instance))
     runs = [
-        list(CasADi(initial=first).solve(problem, objective, Budget(iterations=60), np.random.default_rng(1)))
+        list(planner.solve(instance.problem, instance.objective, Budget(iterations=60), np.random.default_rng(1)))
         for _ in range(2)
     ]
     assert runs[0]

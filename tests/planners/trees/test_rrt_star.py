@@ -71,16 +71,10 @@ def test_same_seed_same_paths(planner: Planner, query: tuple[SceneProblem, Scene
     assert [path.q.tobytes() for path in first] != [path.q.tobytes() for path in other]
 
 
-def test_descents_gain(query: tuple[SceneProblem, SceneObjective]) -> None:
-    with_, without = (_solved(RRTStar(descend=descend), *query)[0][-1] for descend in (True, False))
-    assert path_total(query[1], with_) < path_total(query[1], without)
-
-
-def test_descents_leave_the_tree_alone(query: tuple[SceneProblem, SceneObjective]) -> None:
-    """The first path is the same with and without descents, and with them the best is at least as good."""
+def test_descents_gain_and_leave_the_tree_alone(query: tuple[SceneProblem, SceneObjective]) -> None:
+    """The first path is the same with and without descents, and with them the best is cheaper."""
     with_, without = (_solved(RRTStar(descend=descend), *query, iterations=60)[0] for descend in (True, False))
-    best = min(path_total(query[1], path) for path in with_)
-    assert best <= path_total(query[1], without[-1])
+    assert path_total(query[1], with_[-1]) < path_total(query[1], without[-1])
     assert with_[0].q.tobytes() == without[0].q.tobytes()
 
 

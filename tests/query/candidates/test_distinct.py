@@ -11,7 +11,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
 from graceful_plan.query.candidates.distinct import APART, DistinctPaths
 
-ITERATIONS = 700
+ITERATIONS = 400
 
 
 @pytest.fixture(scope="module")

@@ -98,7 +98,7 @@ def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, pro
     assert better
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_the_best_candidate_by_the_measure_is_chosen(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     offered = ways(problem)
