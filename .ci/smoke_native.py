@@ -14,6 +14,7 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
 COUNTS = (1, 7, 65)  # batch sizes: below one SIMD block, a partial block, several blocks
+ITERATIONS = 200  # of each plan: two rounds of candidates
 
 
 def drive(scene: gp.Scene, isa: str) -> None:
@@ -63,7 +64,7 @@ def roll(task: gp.Task) -> None:
             kernel.edges(q, q + 0.3 * qd)
     # Only one scene keeps its moving entities: NumPy, which has no sanitizers, takes most of that time.
     scene = task.scene.without_moving() if "truck" in task.scene.moving else task.scene
-    gp.plan(task.start, task.goal, scene, iterations=300)
+    gp.plan(task.start, task.goal, scene, iterations=ITERATIONS)
 
 
 def main() -> None:
@@ -80,7 +81,7 @@ def main() -> None:
                 drive(task.scene, isa)
             descend(task)
             for planner in ("rrt_connect", "anytime", "auto"):
-                result = gp.plan(task.start, task.goal, task.scene, w=1.0, planner=planner, iterations=300)
+                result = gp.plan(task.start, task.goal, task.scene, w=1.0, planner=planner, iterations=ITERATIONS)
                 print(f"{name} {task.name} {planner}: {result.status.name}", flush=True)
     for name in gp.mobile_scenes():
         for task in [*gp.load_scene(name).tasks.values()][:1]:
