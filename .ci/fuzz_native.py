@@ -262,8 +262,8 @@ def situations() -> None:
         task = next(iter(gp.load_scene(name).tasks.values()))
         impact = gp.ImpactCost(gp.FailureMixture(faults=faults))
         given = {"objective": gp.Objective(impact=impact), "iterations": 40}
-        for planner in ("anytime", "rrt_connect", "prm"):
-            gp.plan(task.start, task.goal, task.scene, planner=planner, **given)
+        for planner in ("anytime", "rrt_connect", "prm"):  # the descents of one are those of all
+            gp.plan(task.start, task.goal, task.scene, planner=planner, refine=planner == "anytime", **given)
     task = next(iter(gp.load_scene("tabletop").tasks.values()))
     blocks = (
         gp.ClearanceCost(distance=0.1),
@@ -281,7 +281,7 @@ def situations() -> None:
     )
     fear = gp.ImpactCost(gp.FailureMixture(faults="service_robot"), components=("body", "carried"))
     among = gp.Objective(impact=fear)
-    gp.plan(task.start, task.goal, task.scene.with_moving(person), objective=among, iterations=20)
+    gp.plan(task.start, task.goal, task.scene.with_moving(person), objective=among, iterations=20, stop="first")
     plan_outside_of_scenes(task)
     time_outside_of_plans(task)
     ends = np.array([0, 1, 2], dtype=np.int32), np.array([1, 2, 3], dtype=np.int32)
