@@ -1,4 +1,4 @@
-"""Transports in exported scenes of LIBERO: classes by name, a grasp, and the place where the object is put down.
+"""Transports in exported scenes of LIBERO and robosuite: classes by name, a grasp, and the place to put the object.
 
 Scenes are unchanged except that the floor becomes a body, so that it can be an entity, and that geoms that do not
 collide are left out.
@@ -26,7 +26,7 @@ Array = np.ndarray
 CLASSES = (
     (r"plate|bowl|ramekin|mug|porcelain|wine_bottle", "glass"),
     (r"book", "paper"),
-    (r"table|cabinet|shelf|rack|caddy|tray|basket", "table"),
+    (r"table|cabinet|shelf|rack|caddy|tray|basket|bin|Door", "table"),
     (r"floor", "floor"),
     (r".*", "robust"),
 )
@@ -34,7 +34,7 @@ CLASSES = (
 the floor; groceries in cans and boxes, pans, pots, stove and microwave."""
 KINDS = (
     (r"floor", "floor"),
-    (r"rack|shelf|caddy|tray|basket", "racks and containers"),
+    (r"rack|shelf|caddy|tray|basket|bin", "racks and containers"),
     (r"table|cabinet|stove|microwave", "furniture"),
     (r"plate|bowl|ramekin|mug|porcelain", "bowls, plates, mugs"),
     (r".*", "groceries, books, pans"),
@@ -66,6 +66,7 @@ class Transport:
     """A transport: scene with the object in the gripper, configurations, and the entity it is put on.
 
     `place` is the site or body that the task names, and `inside` whether the object belongs into it instead of onto it.
+    `region` has the lower and upper corner of a box in W for the object's origin, in tasks that have one.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Transport:
     target: str
     place: str
     inside: bool
+    region: Array | None = None
 
 
 class NoTransport(Exception):
@@ -104,7 +106,12 @@ def transport(folder: Path) -> Transport:
     things = {**state["objects"], **state["fixtures"]}
     target = max((name for name in things if place.startswith(name)), key=len, default="")
     reference = next(iter(empty.keyframes.values()))
-    at = np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])
+    region = state.get("regions", {}).get(place)
+    if region is not None:
+        region = np.array([region["low"], region["high"]])
+        places = _inside(region)
+    else:
+        places = [np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])]
     for X_WT, fingers in islice(_grasps(empty, body), _TRIED):
         X_TO = np.linalg.inv(X_WT) @ _pose(empty, body)
         scene = empty.attach(
@@ -117,7 +124,9 @@ def transport(folder: Path) -> Transport:
         starts = _reached(scene, lifted, reference)
         if not len(starts):
             continue
-        goals = _goals(empty, scene, body, X_TO, at, starts[0])
+        by_origin = region is not None
+        found = (_goals(empty, scene, body, X_TO, at, starts[0], by_origin=by_origin) for at in places)
+        goals = next((goals for goals in found if len(goals)), np.zeros((0, 7)))
         if len(goals):
             return Transport(
                 name=folder.name,
@@ -125,8 +134,9 @@ def transport(folder: Path) -> Transport:
                 start=starts[0],
                 goal=goals,
                 target=things.get(target, _table(empty)),
-                place=place if place in state["sites"] else things[place],
+                place=things.get(place, place),
                 inside=relation == "in",
+                region=region,
             )
     raise NoTransport(f"{folder.name}: no grasp of {carried} from which {place} is reached")
 
@@ -135,6 +145,8 @@ def arrived(carry: Transport, model: mujoco.MjModel, data: mujoco.MjData) -> boo
     """Whether the object lies where the task wants it: in or on a box of the scene, or in the middle of a body."""
     assert carry.scene.carried is not None
     p_WO = data.body(carry.scene.carried.body).xpos
+    if carry.region is not None:
+        return bool((carry.region[0] < p_WO).all() and (p_WO < carry.region[1]).all())
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, carry.place)
     if site < 0:
         offset = p_WO - data.body(carry.place).xpos
@@ -151,23 +163,27 @@ def load(folder: Path, state: Mapping[str, Any]) -> gp.Scene:
         body = spec.worldbody.add_body(name="floor")
         body.add_geom(name="floor_top", type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat)
         spec.delete(geom)
-    model = spec.compile()
+    return as_it_comes(spec, spec.compile(), state, folder.name)
+
+
+def as_it_comes(source: mujoco.MjSpec | Path, model: mujoco.MjModel, state: Mapping[str, Any], name: str) -> gp.Scene:
+    """Load a scene from a file or specification, whose model tells the bodies."""
     arm = [f"{_ROBOT}joint{k}" for k in range(1, 8)]
+    others = {joint: x if len(x) > 1 else x[0] for joint, x in state["joints"].items() if joint not in arm}
     return gp.Scene.from_mjcf(
-        spec,
+        source,
         robot=_ROBOT,
         tool=_TOOL,
         entities={name: class_of(name) for name in _bodies(model)},
-        state={
-            name: value if len(value) > 1 else value[0] for name, value in state["joints"].items() if name not in arm
-        },
+        state=others,
         velocity=_VELOCITY,
         acceleration=_ACCELERATION,
-        keyframes={"exported": np.concatenate([state["joints"][name] for name in arm])},
+        keyframes={"exported": np.concatenate([state["joints"][joint] for joint in arm])},
         self_collision="links",
         convex="hull",
         visuals=False,
-        name=folder.name,
+        folder="/",
+        name=name,
     )
 
 
@@ -231,6 +247,12 @@ def _extent(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple
 def _middle(scene: gp.Scene, body: str) -> Array:
     low, high = _extent(scene, _geoms(scene, body), scene.data_at(scene.keyframes["exported"]))
     return 0.5 * (low + high)[:2]
+
+
+def _inside(region: Array) -> list[Array]:
+    """Return points inside of a box, seen from above: its middle, and points halfway to its corners."""
+    middle, half = region.mean(axis=0)[:2], 0.5 * (region[1] - region[0])[:2]
+    return [middle, *(middle + 0.5 * half * [x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0))]
 
 
 def _table(scene: gp.Scene) -> str:
@@ -371,8 +393,13 @@ def _reached(scene: gp.Scene, X_WT: Array, reference: Array, count: int = 2) -> 
     return np.array(free[:count]).reshape(-1, len(reference))
 
 
-def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, start: Array) -> Array:
-    """Return configurations that hold the object straight above a place, turned about the vertical."""
+def _goals(
+    empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, start: Array, *, by_origin: bool
+) -> Array:
+    """Return configurations that hold the object straight above a place, turned about the vertical.
+
+    The middle of the object is above the place, or its origin.
+    """
     X_WO, data = _pose(empty, body), empty.data_at(empty.keyframes["exported"])
     geoms = _geoms(empty, body)
     low, high = _extent(empty, geoms, data)
@@ -381,6 +408,8 @@ def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, 
     for k in range(_GOAL_YAWS):
         turned = _turned(X_WO, 2.0 * np.pi * k / _GOAL_YAWS)
         centre = turned[:3, :3] @ X_WO[:3, :3].T @ (0.5 * (low + high) - X_WO[:3, 3])
+        if by_origin:
+            centre = np.zeros(3)
         turned[:3, 3] = [*(at - centre[:2]), top + ABOVE + X_WO[2, 3] - low[2]]
         found += list(_reached(scene, turned @ np.linalg.inv(X_TO), start, count=1))
         if len(found) >= 4:

@@ -11,6 +11,7 @@ from pathlib import Path
 from benchmarks import report, store, suite
 from benchmarks.libero import draw, export, figures
 from benchmarks.libero.mixed import MixedJob, do_mixed, mixed_sections, read_mixed
+from benchmarks.libero.robosuite_scenes import SCENES, TRANSPORTS, loaded, robosuite_sections
 from benchmarks.libero.runs import OBJECTIVES, SEED, SPEED, Done, Job, do, read
 
 TITLE = "LIBERO: hits and harm of drops in scenes from a public benchmark"
@@ -56,12 +57,28 @@ def run(options: suite.Options) -> str:
         until = float("inf") if options.seconds is None else time.monotonic() + options.seconds
         store.fill(file, jobs, do, processes=options.processes, label="libero", until=until)
         order = [name.replace("/", ".") for name in names]
-        mixed = _mixed(folder, order, options, until)
+        more = _robosuite(folder, options, drops, until) + _mixed(folder, order, options, until)
         done = sorted((x for x in read(file) if x.task in order), key=lambda x: order.index(x.task))
     heads = [x for x in done if not x.refused]
     if not heads:
         raise report.NotMeasured("no task has a transport")
-    return "\n".join(_sections(heads, [x for x in done if x.refused], len(names), options.pick(500, quick=20)) + mixed)
+    return "\n".join(_sections(heads, [x for x in done if x.refused], len(names), options.pick(500, quick=20)) + more)
+
+
+def _robosuite(folder: Path, options: suite.Options, drops: int, until: float) -> list[str]:
+    """Load scenes of robosuite, do the remaining transports there, and return their section."""
+    quick = options.pick(None, quick=1)
+    scenes = [f"robosuite/{name}" for name in SCENES[:quick]]
+    carries = [f"robosuite/{name}" for name in TRANSPORTS[:quick]]
+    exported = {folder.name: folder for folder in _exported([*scenes, *carries])}
+    file = folder / f"robosuite.{SEED}.{drops}.jsonl"
+    have = {done.task for done in read(file)}
+    order = [name.replace("/", ".") for name in carries]
+    jobs = [Job(folder=str(exported[x]), drops=drops) for x in order if x in exported and x not in have]
+    store.fill(file, jobs, do, processes=options.processes, label="robosuite", until=until)
+    done = sorted((x for x in read(file) if x.task in order), key=lambda x: order.index(x.task))
+    found = [loaded(exported[x]) for x in (name.replace("/", ".") for name in scenes) if x in exported]
+    return list(robosuite_sections(found, done))
 
 
 def _mixed(folder: Path, order: Sequence[str], options: suite.Options, until: float) -> list[str]:
