@@ -136,7 +136,7 @@ def mixed_sections(done: Sequence[Mixed]) -> Iterator[str]:
     )
     for x in done:
         if x.refused:
-            yield f"Not measured: {x.task}: {x.refused.partition(': ')[2]}.\n"
+            yield f"Not measured: {x.task} ({x.refused}).\n"
     yield report.table(
         ("motion", "harm of a failure", "own loss in it", "duration", "x less per task", "in sum", "worse", "better"),
         [_row(heads, label) for label in OBJECTIVES],
