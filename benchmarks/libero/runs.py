@@ -74,7 +74,8 @@ class Motion:
         energy: The same with each contact weighted by the probability of damage at its energy.
         predicted: Mean predicted harm of a drop by contact, and by energy.
         held: Share of the drops after which the object is still in the gripper.
-        arrives: Whether the object lies where the task wants it 2 s after its release at the end.
+        arrives: Whether the object lies where the task wants it 2 s after its release at the end; of the motions in
+            `OBSERVED`.
         events: Of the motions in `OBSERVED`.
     """
 
@@ -194,7 +195,7 @@ def _drops(carry: Transport, execution: fb.Execution, drops: int, seconds: float
         energy=_parts(carry, [impact_by_entity(rollout, scene, factor=damage) for rollout in rollouts]),
         predicted=predicted,
         held=float(np.mean([not rollout.dropped for rollout in rollouts])),
-        arrives=_arrives(carry, execution),
+        arrives=observed and _arrives(carry, execution),
         events=_events(carry, execution, rollouts, state.q, state.qd) if observed else None,
     )
 

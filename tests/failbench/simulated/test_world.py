@@ -178,4 +178,4 @@ def test_air_does_not_hold_a_link_whose_inertia_is_a_placeholder():
         ).tracking_error
         for source in (text, air)
     ]
-    assert np.array_equal(*errors) and errors[0] < 0.01
+    assert np.array_equal(errors[0], errors[1]) and errors[0] < 0.01
