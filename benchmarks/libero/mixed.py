@@ -115,7 +115,8 @@ def _triple(x: fb.Estimate) -> list[float]:
 def read_mixed(file: Path) -> Iterator[Mixed]:
     """Yield the finished tasks."""
     for line in read_lines(file):
-        yield Mixed(**{**line, "motions": {label: MixedMotion(**x) for label, x in line["motions"].items()}})
+        line["motions"] = {label: MixedMotion(**x) for label, x in line["motions"].items()}
+        yield Mixed(**line)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
