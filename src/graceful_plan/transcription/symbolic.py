@@ -264,9 +264,7 @@ def _check_passive(model: mujoco.MjModel, joints: list[int], dofs: Array) -> Non
         if np.any(getattr(model, name)[of_joints]):
             raise UnsupportedError(f"symbolic dynamics of joints with {name} are not supported")
     if model.opt.density > _AIR:
-        raise UnsupportedError(
-            f"symbolic dynamics of a robot in a fluid are not supported: density {model.opt.density:g}"
-        )
+        raise UnsupportedError(f"symbolic dynamics in a fluid of density {model.opt.density:g} are not supported")
     for tendon in range(model.ntendon):
         acts = np.any(model.tendon_stiffness[tendon]) or np.any(model.tendon_damping[tendon])
         if acts or np.any(model.tendon_armature[tendon]):
