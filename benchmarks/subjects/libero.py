@@ -43,7 +43,8 @@ but impact counts, which tells what a motion between the same ends can do; "by e
 mean harm of a drop times the duration. "X less": the geometric mean over tasks of harm at w = 0 over that of the
 motion, where less than one hit of the least severity counts as one; "in sum": the ratio of sums over tasks. Harm by
 energy has sums only, since most tasks have next to none. Intervals are 95 %, from resampled tasks, of predictions from
-resampled motions. "Worse": tasks with more than {figures.WORSE:g} times the harm by contact at w = 0.
+resampled motions. "Worse": tasks with more than {figures.WORSE:g} times the harm by contact at w = 0. Finished tasks
+are stored, so these may come from several runs; the duration above is that of the last one.
 """
 
 
