@@ -13,9 +13,10 @@ import numpy as np
 
 import failbench as fb
 import graceful_plan as gp
-from benchmarks.libero.scenes import NoTransport, Transport, kind_of, transport
+from benchmarks.libero.scenes import NoTransport, Transport, arrived, kind_of, transport
 from benchmarks.store import read_lines
 from failbench.calibrations.failures import DROP
+from failbench.fault.end_effector import GripperFailure
 from failbench.recording.records import Rollout
 from failbench.recording.score import damage_by_energy, impact_by_entity
 from failbench.rollouts.rollout import run_rollouts
@@ -28,6 +29,8 @@ Array = np.ndarray
 SEED, SPEED = 2026, 0.5
 """Seed of plans and drops; fraction of the velocity limits."""
 NONE, OURS, HEAVY, ENERGY = "w = 0", "default", "w = 10", "by energy"
+_SETTLES = 2.0
+"""Time in which a released object comes to rest [s]."""
 _PUBLISHED, _BY_ENERGY = gp.ImpactCost(model="box_overlap"), gp.ImpactCost(consequence="energy")
 OBJECTIVES: Mapping[str, gp.Objective] = MappingProxyType(
     {
@@ -71,6 +74,8 @@ class Motion:
         energy: The same with each contact weighted by the probability of damage at its energy.
         predicted: Mean predicted harm of a drop by contact, and by energy.
         held: Share of the drops after which the object is still in the gripper.
+        arrives: Whether the object lies where the task wants it 2 s after its release at the end; of the motions in
+            `OBSERVED`.
         events: Of the motions in `OBSERVED`.
     """
 
@@ -81,6 +86,7 @@ class Motion:
     energy: Mapping[str, float] = field(default_factory=dict)
     predicted: Sequence[float] = ()
     held: float = float("nan")
+    arrives: bool = False
     events: Events | None = None
 
 
@@ -131,7 +137,7 @@ def do(job: Job) -> Done:
             carry.start, carry.goal, carry.scene, objective=OBJECTIVES[label], seed=SEED, speed=SPEED
         )
         seconds[label] = time.perf_counter() - started
-    grasp, held = _held(carry, results)
+    grasp, held = held_by(carry, results)
     motions = {}
     for label, found in held.items():
         if isinstance(found, str):
@@ -142,7 +148,7 @@ def do(job: Job) -> Done:
     return Done(task=name, grasp=grasp, load=load, least=least, drops=job.drops, motions=motions)
 
 
-def _held(carry: Transport, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[str, fb.Execution | str]]:
+def held_by(carry: Transport, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[str, fb.Execution | str]]:
     """Return the grasp, and the executions or refusals of all motions.
 
     The grasp is a weld if fingers lose the object along any motion, or let it slip until it touches something: contacts
@@ -189,8 +195,15 @@ def _drops(carry: Transport, execution: fb.Execution, drops: int, seconds: float
         energy=_parts(carry, [impact_by_entity(rollout, scene, factor=damage) for rollout in rollouts]),
         predicted=predicted,
         held=float(np.mean([not rollout.dropped for rollout in rollouts])),
+        arrives=observed and _arrives(carry, execution),
         events=_events(carry, execution, rollouts, state.q, state.qd) if observed else None,
     )
+
+
+def _arrives(carry: Transport, execution: fb.Execution) -> bool:
+    release = fb.RolloutRequest(fault=GripperFailure(degree="critical"), onset=execution.duration, seed=SEED)
+    *_, (model, data) = fb.rollout_steps(execution, release, horizon=_SETTLES)
+    return arrived(carry, model, data)
 
 
 def _parts(carry: Transport, harms: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Transports in exported scenes of LIBERO: classes by name, a grasp, and the place where the object is put down.
+"""Transports in exported scenes of LIBERO and robosuite: classes by name, a grasp, and the place to put the object.
 
 Scenes are unchanged except that the floor becomes a body, so that it can be an entity, and that geoms that do not
 collide are left out.
@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ Array = np.ndarray
 CLASSES = (
     (r"plate|bowl|ramekin|mug|porcelain|wine_bottle", "glass"),
     (r"book", "paper"),
-    (r"table|cabinet|shelf|rack|caddy|tray|basket", "table"),
+    (r"table|cabinet|shelf|rack|caddy|tray|basket|bin|Door", "table"),
     (r"floor", "floor"),
     (r".*", "robust"),
 )
@@ -34,7 +34,7 @@ CLASSES = (
 the floor; groceries in cans and boxes, pans, pots, stove and microwave."""
 KINDS = (
     (r"floor", "floor"),
-    (r"rack|shelf|caddy|tray|basket", "racks and containers"),
+    (r"rack|shelf|caddy|tray|basket|bin", "racks and containers"),
     (r"table|cabinet|stove|microwave", "furniture"),
     (r"plate|bowl|ramekin|mug|porcelain", "bowls, plates, mugs"),
     (r".*", "groceries, books, pans"),
@@ -49,25 +49,34 @@ ABOVE = 0.02
 _DEEP = (0.035, 0.025, 0.015, 0.005, -0.003)
 """Depths of the tool below the top of the held part [m]."""
 _YAWS, _GOAL_YAWS = 12, 8
-_PARTS, _TRIED = 8, 12
-"""Parts of the object that are tried, the nearest to its middle first, and grasps for which motions are tried."""
+_PLACES, _TRIED = 9, 36
+"""Greatest number of places on the object that are tried, and of grasps for which configurations are sought."""
 _BESIDE = 0.06
 """Width beside the object's outline that the hand needs [m]: it stays above a basket."""
 _FREE = 0.003
 """Least clearance at both ends [m]."""
 _STROKE = 0.04
 """Opening of a finger [m]."""
+_CENTRED = 0.03
+"""Horizontal distance within which an object counts as on another one, as in LIBERO [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transport:
-    """A transport: scene with the object in the gripper, configurations, and the entity it is put on."""
+    """A transport: scene with the object in the gripper, configurations, and the entity it is put on.
+
+    `place` is the site or body that the task names, and `inside` whether the object belongs into it instead of onto it.
+    `region` has the lower and upper corner of a box in W for the object's origin, in tasks that have one.
+    """
 
     name: str
     scene: gp.Scene
     start: Array
     goal: Array
     target: str
+    place: str
+    inside: bool
+    region: Array | None = None
 
 
 class NoTransport(Exception):
@@ -91,13 +100,18 @@ def transport(folder: Path) -> Transport:
         NoTransport: If no grasp or no place was found.
     """
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-    carried, place = next((a, b) for _, a, b in (g for g in state["goal"] if len(g) == 3) if a in state["objects"])
+    relation, carried, place = next(g for g in state["goal"] if len(g) == 3 and g[1] in state["objects"])
     body = state["objects"][carried]
     empty = load(folder, state)
     things = {**state["objects"], **state["fixtures"]}
     target = max((name for name in things if place.startswith(name)), key=len, default="")
     reference = next(iter(empty.keyframes.values()))
-    at = np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])
+    region = state.get("regions", {}).get(place)
+    if region is not None:
+        region = np.array([region["low"], region["high"]])
+        places = _inside(region)
+    else:
+        places = [np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])]
     for X_WT, fingers in islice(_grasps(empty, body), _TRIED):
         X_TO = np.linalg.inv(X_WT) @ _pose(empty, body)
         scene = empty.attach(
@@ -110,11 +124,36 @@ def transport(folder: Path) -> Transport:
         starts = _reached(scene, lifted, reference)
         if not len(starts):
             continue
-        goals = _goals(empty, scene, body, X_TO, at, starts[0])
+        by_origin = region is not None
+        found = (_goals(empty, scene, body, X_TO, at, starts[0], by_origin=by_origin) for at in places)
+        goals = next((goals for goals in found if len(goals)), np.zeros((0, 7)))
         if len(goals):
-            on = things.get(target, _table(empty))
-            return Transport(name=folder.name, scene=scene, start=starts[0], goal=goals, target=on)
+            return Transport(
+                name=folder.name,
+                scene=scene,
+                start=starts[0],
+                goal=goals,
+                target=things.get(target, _table(empty)),
+                place=things.get(place, place),
+                inside=relation == "in",
+                region=region,
+            )
     raise NoTransport(f"{folder.name}: no grasp of {carried} from which {place} is reached")
+
+
+def arrived(carry: Transport, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+    """Whether the object lies where the task wants it: in or on a box of the scene, or in the middle of a body."""
+    assert carry.scene.carried is not None
+    p_WO = data.body(carry.scene.carried.body).xpos
+    if carry.region is not None:
+        return bool((carry.region[0] < p_WO).all() and (p_WO < carry.region[1]).all())
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, carry.place)
+    if site < 0:
+        offset = p_WO - data.body(carry.place).xpos
+        return bool(np.linalg.norm(offset[:2]) < _CENTRED and offset[2] > 0.0)
+    offset, half = data.site_xmat[site].reshape(3, 3).T @ (p_WO - data.site_xpos[site]), model.site_size[site]
+    lowest, highest = (-half[2] - 0.01, half[2]) if carry.inside else (half[2] - 0.005, half[2] + 0.1)
+    return bool((np.abs(offset[:2]) < half[:2]).all() and lowest < offset[2] < highest)
 
 
 def load(folder: Path, state: Mapping[str, Any]) -> gp.Scene:
@@ -124,23 +163,27 @@ def load(folder: Path, state: Mapping[str, Any]) -> gp.Scene:
         body = spec.worldbody.add_body(name="floor")
         body.add_geom(name="floor_top", type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat)
         spec.delete(geom)
-    model = spec.compile()
+    return as_it_comes(spec, spec.compile(), state, folder.name)
+
+
+def as_it_comes(source: mujoco.MjSpec | Path, model: mujoco.MjModel, state: Mapping[str, Any], name: str) -> gp.Scene:
+    """Load a scene from a file or specification, whose model tells the bodies."""
     arm = [f"{_ROBOT}joint{k}" for k in range(1, 8)]
+    others = {joint: x if len(x) > 1 else x[0] for joint, x in state["joints"].items() if joint not in arm}
     return gp.Scene.from_mjcf(
-        spec,
+        source,
         robot=_ROBOT,
         tool=_TOOL,
         entities={name: class_of(name) for name in _bodies(model)},
-        state={
-            name: value if len(value) > 1 else value[0] for name, value in state["joints"].items() if name not in arm
-        },
+        state=others,
         velocity=_VELOCITY,
         acceleration=_ACCELERATION,
-        keyframes={"exported": np.concatenate([state["joints"][name] for name in arm])},
+        keyframes={"exported": np.concatenate([state["joints"][joint] for joint in arm])},
         self_collision="links",
         convex="hull",
         visuals=False,
-        name=folder.name,
+        folder="/",
+        name=name,
     )
 
 
@@ -206,6 +249,12 @@ def _middle(scene: gp.Scene, body: str) -> Array:
     return 0.5 * (low + high)[:2]
 
 
+def _inside(region: Array) -> list[Array]:
+    """Return points inside of a box, seen from above: its middle, and points halfway to its corners."""
+    middle, half = region.mean(axis=0)[:2], 0.5 * (region[1] - region[0])[:2]
+    return [middle, *(middle + 0.5 * half * [x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0))]
+
+
 def _table(scene: gp.Scene) -> str:
     """Return the table that everything stands on, or the floor."""
     return next((name for name in scene.entities if "table" in name), "floor")
@@ -217,26 +266,53 @@ def _table(scene: gp.Scene) -> str:
 def _grasps(scene: gp.Scene, body: str) -> Iterator[tuple[Array, float]]:
     """Yield poses of the tool that points down at an object, with the opening of a finger at which both touch it.
 
-    Parts near the middle of the object come first; the open hand touches nothing.
+    Places on the object take turns, far apart ones early. At each, the smallest opening comes first, since the fingers
+    then press straight. The open hand touches nothing.
+    """
+    hand, down = _Hand(scene, _geoms(scene, body)), np.diag([1.0, -1.0, -1.0, 1.0])
+    at_place = []
+    for p in _places_to_hold(scene, body):
+        found = []
+        for k in range(_YAWS):
+            X_WT = _turned(down, np.pi * k / _YAWS)
+            for deep in _DEEP:
+                X_WT[:3, 3] = p - [0.0, 0.0, deep]
+                closed = hand.close(X_WT)
+                if closed is not None:
+                    found.append(closed)
+                    break
+        found.sort(key=lambda grasp: grasp[1])
+        # The hand is alike on both sides, but the arm is not.
+        at_place.append([(X, f) for X_WT, f in found for X in (X_WT, X_WT @ np.diag([-1.0, -1.0, 1.0, 1.0]))])
+    for turn in zip_longest(*at_place):
+        yield from (grasp for grasp in turn if grasp is not None)
+
+
+def _places_to_hold(scene: gp.Scene, body: str) -> list[Array]:
+    """Return points on top of an object, the nearest to its middle first, then each far from those before it.
+
+    These are the tops of its parts, and points halfway from there to a part's ends.
     """
     data = scene.data_at(scene.keyframes["exported"])
     geoms = _geoms(scene, body)
     low, high = _boxes(scene, geoms, data)
     middle = 0.5 * (low.min(axis=0) + high.max(axis=0))
-    centres = [np.append(middle[:2], high[:, 2].max())]
-    centres += [np.append(0.5 * (a + b)[:2], b[2]) for a, b in zip(low, high, strict=True)]
-    centres = [p for p in centres if p[2] > high[:, 2].max() - _DEEP[0]]  # fingers reach no deeper than these tops
-    centres.sort(key=lambda p: float(np.linalg.norm(p[:2] - middle[:2])))
-    hand = _Hand(scene, geoms)
-    for p in centres[: _PARTS + 1]:
-        for k in range(_YAWS):
-            X_WT = _turned(np.diag([1.0, -1.0, -1.0, 1.0]), np.pi * k / _YAWS)
-            for deep in _DEEP:
-                X_WT[:3, 3] = p - [0.0, 0.0, deep]
-                found = hand.close(X_WT)
-                if found is not None:
-                    yield found
-                    break
+    ends = [_longest(scene, g, data) for g in geoms]
+    points = [np.append(middle[:2], high[:, 2].max())]
+    for a, b, end in zip(low, high, ends, strict=True):
+        points += [np.append(0.5 * (a + b)[:2] + share * end, b[2]) for share in (0.0, -0.5, 0.5)]
+    left = [p for p in points if p[2] > high[:, 2].max() - _DEEP[0]]  # fingers reach no deeper than these tops
+    chosen = [left.pop(int(np.argmin([np.linalg.norm(p[:2] - middle[:2]) for p in left])))]
+    while left and len(chosen) < _PLACES:
+        gaps = [min(float(np.linalg.norm(p[:2] - c[:2])) for c in chosen) for p in left]
+        chosen.append(left.pop(int(np.argmax(gaps))))
+    return chosen
+
+
+def _longest(scene: gp.Scene, geom: int, data: mujoco.MjData) -> Array:
+    """Return the horizontal part of the longest half axis of a geom's box, in W [m]."""
+    axes = (data.geom_xmat[geom].reshape(3, 3) * scene.model.geom_aabb[geom, 3:])[:2]
+    return axes[:, int(np.argmax(np.linalg.norm(axes, axis=0)))]
 
 
 class _Hand:
@@ -317,16 +393,23 @@ def _reached(scene: gp.Scene, X_WT: Array, reference: Array, count: int = 2) -> 
     return np.array(free[:count]).reshape(-1, len(reference))
 
 
-def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, start: Array) -> Array:
-    """Return configurations that hold the object straight above a place, turned about the vertical."""
+def _goals(
+    empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, start: Array, *, by_origin: bool
+) -> Array:
+    """Return configurations that hold the object straight above a place, turned about the vertical.
+
+    The middle of the object is above the place, or its origin.
+    """
     X_WO, data = _pose(empty, body), empty.data_at(empty.keyframes["exported"])
     geoms = _geoms(empty, body)
     low, high = _extent(empty, geoms, data)
+    top = _highest(empty, geoms, data, at, 0.5 * float(np.max((high - low)[:2])) + _BESIDE)
     found = []
     for k in range(_GOAL_YAWS):
         turned = _turned(X_WO, 2.0 * np.pi * k / _GOAL_YAWS)
         centre = turned[:3, :3] @ X_WO[:3, :3].T @ (0.5 * (low + high) - X_WO[:3, 3])
-        top = _highest(empty, geoms, data, at, 0.5 * float(np.max((high - low)[:2])) + _BESIDE)
+        if by_origin:
+            centre = np.zeros(3)
         turned[:3, 3] = [*(at - centre[:2]), top + ABOVE + X_WO[2, 3] - low[2]]
         found += list(_reached(scene, turned @ np.linalg.inv(X_TO), start, count=1))
         if len(found) >= 4:
@@ -335,20 +418,13 @@ def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, 
 
 
 def _highest(scene: gp.Scene, own: Sequence[int], data: mujoco.MjData, at: Array, half: float) -> float:
-    """Return the greatest height below a square around a place, of everything but robot and object [m]."""
+    """Return the greatest height of boxes around geoms over a square, of everything but robot and object [m]."""
     model = scene.model
     ignored = {int(model.geom_bodyid[g]) for g in own} | set(scene.robot_bodies)
-    highest, geom = -np.inf, np.zeros(1, dtype=np.int32)
-    for dx in np.linspace(-half, half, 9):
-        for dy in np.linspace(-half, half, 9):
-            p = np.array([at[0] + dx, at[1] + dy, 3.0])
-            while True:
-                gap = mujoco.mj_ray(model, data, p, np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
-                if gap < 0.0:
-                    break
-                p[2] -= gap
-                if int(model.geom_bodyid[geom[0]]) not in ignored:
-                    highest = max(highest, float(p[2]))
-                    break
-                p[2] -= 1e-4
-    return highest
+    geoms = [
+        g for g in range(model.ngeom)
+        if int(model.geom_bodyid[g]) not in ignored and int(model.geom_type[g]) != int(mujoco.mjtGeom.mjGEOM_PLANE)
+    ]  # fmt: skip
+    low, high = _boxes(scene, geoms, data)
+    over = ((low[:, :2] <= at + half) & (high[:, :2] >= at - half)).all(axis=1)
+    return float(high[over, 2].max(initial=0.0))

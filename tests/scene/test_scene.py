@@ -78,6 +78,23 @@ def _workshop(**changes: object) -> Scene:
 # --- any arm ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("actuators", "most"),
+    [
+        ('<motor joint="six/j1" ctrlrange="-30 80" gear="2"/>', 160.0),
+        ('<motor joint="six/j1" ctrlrange="-80 80" forcerange="-50 50"/>', 50.0),
+        ('<motor joint="six/j1" ctrlrange="-3 3"/><motor joint="six/j1" ctrlrange="-4 4"/>', 7.0),
+        ('<general joint="six/j1" ctrlrange="-1 1" gainprm="87"/>', 87.0),
+        ('<position joint="six/j1" ctrlrange="-3 3" kp="9"/>', np.inf),  # its command is a position
+        ('<general joint="six/j1" ctrlrange="-1 1" gainprm="9" dyntype="integrator" actrange="-5 5"/>', np.inf),
+        ('<motor joint="six/j1"/>', np.inf),
+    ],
+)
+def test_torque_limits_come_from_forces_and_from_the_commands_of_motors(actuators: str, most: float) -> None:
+    source = re.sub("<actuator>.*</actuator>", f"<actuator>{actuators}</actuator>", _ARM, flags=re.DOTALL)
+    assert _workshop(source=source).limits.torque[0] == pytest.approx(most)
+
+
 def test_another_arm_works() -> None:
     scene = _workshop(keyframes={"zero": [0.0] * 6})
     assert scene.name == "workshop"

@@ -158,6 +158,18 @@ def test_unsupported_forces_are_refused(old: str, new: str, named: str) -> None:
         SymbolicRobot(scene)
 
 
+def test_the_drag_of_the_air_is_left_out() -> None:
+    air = CRANE.replace("<option", '<option density="1.2" viscosity="2e-5"', 1)
+    first, second = (
+        gp.Scene.from_mjcf(source, robot="crane", tool="hook", velocity=[1.0] * 4, acceleration=[2.0] * 4)
+        for source in (CRANE, air)
+    )
+    state = _states(first, 1)
+    expected = RobotDynamics(first)(*(x[0] for x in state))
+    np.testing.assert_array_equal(RobotDynamics(second)(*(x[0] for x in state)), expected)
+    np.testing.assert_allclose(symbolic_robot(second).torques(*state)[0], expected, atol=_TOLERANCE)
+
+
 def test_shapes_are_checked() -> None:
     robot = symbolic_robot(_crane())
     with pytest.raises(ShapeError, match="qd"):

@@ -222,6 +222,9 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> No
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = max(spec.option.impratio, 10.0)
     spec.option.noslip_iterations = 0
+    # Air hardly slows an arm or a falling object, but it would hold a link whose inertia is a placeholder far too large
+    # for its mass, such as a fingertip of robosuite's Panda, as if it were metres wide.
+    spec.option.density = spec.option.viscosity = 0.0
     if settings.sleep:
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     if scene.carried is not None:

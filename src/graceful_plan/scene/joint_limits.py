@@ -43,7 +43,8 @@ def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -
 
     A hinge without limits gets one turn in each direction, the heading of a base two. Limits of a base come from its
     `DiffDrive`; velocity and acceleration of the notes are for the other joints. Torque comes from the notes,
-    actuatorfrcrange or the forcerange of the actuators on the joint; it is infinite if none is set.
+    actuatorfrcrange, or the forcerange of the actuators on the joint and the ctrlrange of motors; it is infinite if
+    none is set.
 
     Raises:
         SceneError: If a slide has no limits, or velocity or acceleration limits are missing.
@@ -119,6 +120,24 @@ def _torque(model: mujoco.MjModel, joint: int) -> float:
     if model.jnt_actfrclimited[joint]:
         return float(np.abs(model.jnt_actfrcrange[joint]).max())
     on_joint = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)) & (model.actuator_trnid[:, 0] == joint)
-    limited = np.flatnonzero(on_joint & (model.actuator_forcelimited != 0))
-    forces = np.abs(model.actuator_forcerange[limited]).max(axis=1) * np.abs(model.actuator_gear[limited, 0])
-    return float(forces.sum()) if len(limited) else np.inf
+    known = [force for a in np.flatnonzero(on_joint) if np.isfinite(force := _greatest_force(model, int(a)))]
+    return sum(known) if known else np.inf
+
+
+def _greatest_force(model: mujoco.MjModel, actuator: int) -> float:
+    """Return the greatest force of an actuator on its joint [N m or N]; infinite if it is unlimited."""
+    most = np.inf
+    if model.actuator_forcelimited[actuator]:
+        most = np.abs(model.actuator_forcerange[actuator]).max()
+    if model.actuator_ctrllimited[actuator] and _is_motor(model, actuator):
+        most = min(most, np.abs(model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator]).max())
+    return float(most * abs(model.actuator_gear[actuator, 0]))
+
+
+def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the actuator's force is proportional to its command."""
+    return (
+        int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
+        and int(model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_NONE)
+    )

@@ -17,8 +17,8 @@ class RobotDynamics:
 
     Not thread-safe: use one instance per thread.
 
-    The model's rotor inertia, viscous damping and gravity compensation are included; dry friction and contacts are not.
-    The fingers stay still, and the carried object moves as if it were part of the hand.
+    The model's rotor inertia, viscous damping and gravity compensation are included; dry friction, contacts and the
+    drag of the air are not. The fingers stay still, and the carried object moves as if it were part of the hand.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -41,7 +41,7 @@ class RobotDynamics:
         mujoco.mj_passive(model, data)
         torque = np.zeros(model.nv)
         mujoco.mj_rne(model, data, 1, torque)
-        torque += model.dof_armature * data.qacc - data.qfrc_passive
+        torque += model.dof_armature * data.qacc - (data.qfrc_passive - data.qfrc_fluid)
         for body in self._load:
             torque += self._of_load(body, data)
         return torque[self._dofs]

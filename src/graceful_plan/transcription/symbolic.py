@@ -30,6 +30,8 @@ Array = np.ndarray
 Expression = Any
 """A CasADi SX. CasADi has no type stubs and is imported on demand."""
 
+_AIR = 1.3
+"""Density of air at sea level [kg/m^3], whose drag is left out as in `RobotDynamics`; a denser fluid is refused."""
 _KEPT = 8
 """Number of cached batch functions, one for each batch size."""
 
@@ -261,8 +263,8 @@ def _check_passive(model: mujoco.MjModel, joints: list[int], dofs: Array) -> Non
     for name, of_joints in (("jnt_stiffnesspoly", joints), ("dof_dampingpoly", dofs)):
         if np.any(getattr(model, name)[of_joints]):
             raise UnsupportedError(f"symbolic dynamics of joints with {name} are not supported")
-    if model.opt.density or model.opt.viscosity:
-        raise UnsupportedError("symbolic dynamics of a robot in a fluid (density, viscosity) are not supported")
+    if model.opt.density > _AIR:
+        raise UnsupportedError(f"symbolic dynamics in a fluid of density {model.opt.density:g} are not supported")
     for tendon in range(model.ntendon):
         acts = np.any(model.tendon_stiffness[tendon]) or np.any(model.tendon_damping[tendon])
         if acts or np.any(model.tendon_armature[tendon]):

@@ -9,7 +9,7 @@ from breaking import WELD, Nothing, Record, healthy_run, joint
 from motions import ARM, SERVO, arm
 
 import graceful_plan as gp
-from failbench import RolloutRequest, build_world, execute, rollout_steps, run_rollouts
+from failbench import RolloutRequest, SimSettings, build_world, execute, rollout_steps, run_rollouts
 from failbench.fault.registry import (
     DEGREES,
     CompleteShutdown,
@@ -189,3 +189,16 @@ def test_a_dead_gripper_releases_its_weld(fault):
     kept, lost = (rollout.dropped for rollout in run_rollouts(done, jobs))
     assert lost == (fault is not PartialDegradation)  # a tenth of the force still holds the can
     assert not kept or fault is CompleteShutdown
+
+
+@pytest.mark.parametrize("fault", [IncreasedFriction(), StuckPosition(), PowerLoss()])
+def test_the_control_range_of_a_motor_is_its_greatest_torque(fault):
+    # robosuite's arms have such motors.
+    motor = '<motor joint="shoulder" ctrlrange="-40 40" gear="2"/>'
+    world = build_world(arm(actuators=motor), SimSettings(control="torque"))
+    assert world.model.actuator_forcerange[0].tolist() == [-80.0, 80.0]
+    *_, (_, data) = rollout_steps(
+        execute([[0.0], [0.6]], world), RolloutRequest(fault=fault, onset=0.1, seed=0), horizon=0.6
+    )
+    held = abs(data.qvel[world.robot.dofs]) < 1e-3
+    assert held or isinstance(fault, IncreasedFriction)

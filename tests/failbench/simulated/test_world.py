@@ -161,3 +161,21 @@ def test_drives_without_limits_of_their_own_have_those_of_the_scene():
 def test_the_shared_robot_is_read_only():
     with pytest.raises(ValueError, match="read-only"):
         build_world(arm()).robot.kp[:] = 0.0
+
+
+def test_air_does_not_hold_a_link_whose_inertia_is_a_placeholder():
+    # As in robosuite's Panda: 10 g with an inertia of 0.01 kg m2, which MuJoCo takes for a box of 2.4 m.
+    tip = """<body name="tip" pos="0.32 0 0"><inertial pos="0 0 0" mass="0.01" diaginertia="0.01 0.01 0.01"/></body>"""
+    text = ARM.format(fingers=tip, actuators='<motor joint="shoulder" ctrlrange="-12 12"/>')
+    air = text.replace("<option ", '<option density="1.2" viscosity="2e-5" ')
+    errors = [
+        execute(
+            [[0.0], [0.9]],
+            build_world(
+                gp.Scene.from_mjcf(source, robot="base", tool="tool", velocity=[4.0], acceleration=[30.0]),
+                SimSettings(control="torque"),
+            ),
+        ).tracking_error
+        for source in (text, air)
+    ]
+    assert np.array_equal(errors[0], errors[1]) and errors[0] < 0.01
