@@ -14,6 +14,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, grasp_warnings
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective
+from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
@@ -42,6 +43,7 @@ from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of
+from graceful_plan.query.endpoints.moving_goal import find_goal
 from graceful_plan.query.endpoints.moving_start import find_start
 from graceful_plan.query.endpoints.real_start import START_TOLERANCE
 from graceful_plan.query.preparation import prepared
@@ -58,7 +60,7 @@ Array = np.ndarray
 
 def plan(
     start: Configuration | State,
-    goal: Goal,
+    goal: Goal | State,
     scene: Scene,
     w: float | None = None,
     *,
@@ -87,6 +89,8 @@ def plan(
         start: Configuration [rad or m], the name of a keyframe, or the state of a moving arm, such as
             `trajectory.at(t)`. The motion then leaves with that velocity. A configuration is a robot at rest.
         goal: Configuration, name of a keyframe, `PoseGoal` for the tool, or several of these, such as a set of grasps.
+            Or the state of an arm: the motion then ends with that velocity, and `detail` says if the robot could not
+            stop beyond it.
         scene: Robot, surroundings and carried object.
         w: Safety weight: radians of joint motion that the planner accepts to avoid one second in which a failure would
             do harm of severity 1. Default: the weight of the objective, or 0.3.
@@ -144,6 +148,8 @@ def plan(
     ready = prepared(scene, checked_objective(objective, w), constraints, share)
     bound, asked = ready.objective, ready.constraints
     passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
+    if passed and isinstance(goal, State):
+        raise UnsupportedError("`via` with a goal that has a velocity; plan to it without `via`")
     request = Request(
         planner=chosen,
         objective=bound,
@@ -167,6 +173,10 @@ def plan(
     if isinstance(begun, PlanResult):
         return _with_times(begun, ready.total, started)
     real, lead = begun
+    aimed = find_goal(goal, asked, real.q, share, late=lambda: budget.over)
+    if isinstance(aimed, PlanResult):
+        return _with_times(aimed, ready.total, started)
+    goal, run_in = aimed
     if passed:
         settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
         leg = partial(
@@ -192,8 +202,9 @@ def plan(
     if isinstance(ends, PlanResult):
         return _with_times(_with_notes(ends, notes), ready.total, started)
     ends = ends if lead is None else lead.leading_to(ends)
-    request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index), lead=lead)
-    request = replace(request, takeover=real.takeover if real.first is None else None)
+    ends = ends if run_in is None else run_in.ending(ends)
+    request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
+    request = replace(request, lead=lead, run_in=run_in, takeover=real.takeover if real.first is None else None)
     try:
         best = BestVerified(request, ends, budget)
         for motion in motions_to_verify(request, ends, budget, rng, best):

@@ -16,7 +16,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
-from graceful_plan.path import Path, is_real
+from graceful_plan.path import Path, finite_array, is_real
 from graceful_plan.plan import plan
 from graceful_plan.planners.motion_descent import time_price
 from graceful_plan.query.arguments import check_no_base, checked_objective, checked_speed
@@ -28,7 +28,7 @@ from graceful_plan.query.stop import quickest_stop, surely_collides
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
-from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.timing.trajectory import REST, State, Trajectory
 
 Array = np.ndarray
 
@@ -43,7 +43,7 @@ def replan(
     scene: Scene,
     *,
     at: float,
-    goal: Goal | None = None,
+    goal: Goal | State | None = None,
     w: float | None = None,
     objective: Objective | None = None,
     time_limit: float | None = None,
@@ -65,7 +65,7 @@ def replan(
         motion: The motion that the robot executes.
         scene: The scene as it is now. Predictions of moving entities are on the clock of `motion`.
         at: Time at which the new motion takes over, on the clock of `motion` [s].
-        goal: See `plan`; by default the end of `motion`.
+        goal: See `plan`; by default the end of `motion`, with the velocity that it has there.
         w: Safety weight; see `plan`.
         objective: Objective to minimise; see `plan`.
         time_limit: Time budget of the whole call [s]; 0.1 by default, unlimited if `iterations` is given. Only the
@@ -94,9 +94,12 @@ def replan(
     limit = TIME_LIMIT if time_limit is None and iterations is None else time_limit
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
+    end = State(motion.q[-1], motion.qd[-1])
+    if at > motion.t[-1] and np.abs(end.qd).max() > REST:
+        raise SettingError("at", at, f"at most {motion.t[-1]:.6g} s, where the motion ends with a velocity")
     motion = motion.since(min(at, float(motion.t[-1])) - _REMEMBERED)
     rest = motion.since(at)
-    leads = goal is None or _reaches(rest.q[-1], goal, scene)
+    leads = goal is None or _reaches(end, goal, scene)
     began = time.perf_counter()
     kept = _kept(motion, rest, scene, asked)
     verdict_seconds = time.perf_counter() - began
@@ -109,7 +112,7 @@ def replan(
         stop()  # first, since planning may use up the time
     found = plan(
         _takeover(motion, at, None if kept.passed and leads else stop, rest.path if leads else None),
-        motion.q[-1] if goal is None else goal,
+        end if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
         # A new motion needs a verdict, too, which takes about as long.
@@ -136,13 +139,21 @@ def replan(
     return found
 
 
-def _reaches(q: Float[Array, " nq"], goal: Goal, scene: Scene) -> bool:
+def _reaches(end: State, goal: Goal | State, scene: Scene) -> bool:
+    """Return whether the end of a motion meets a goal."""
+    if isinstance(goal, State):
+        step = np.abs(end.qd - finite_array("goal.qd", goal.qd, ndim=1, last=len(end.qd))).max()
+        return bool(step <= LIMIT_TOLERANCE) and _is_at(end.q, goal.q, scene)
+    return bool(np.abs(end.qd).max() <= REST) and _is_at(end.q, goal, scene)
+
+
+def _is_at(q: Float[Array, " nq"], goal: Goal, scene: Scene) -> bool:
     """Return whether a configuration meets a goal."""
     if isinstance(goal, PoseGoal):
         position, orientation = pose_error(goal, compile_scene(scene).kernels.tool_pose(q))
         return position <= goal.position_tolerance and orientation <= goal.orientation_tolerance
     if has_poses(goal):
-        return any(_reaches(q, one, scene) for one in goal)  # type: ignore[union-attr, arg-type]
+        return any(_is_at(q, one, scene) for one in goal)  # type: ignore[union-attr, arg-type]
     away = wrapped_near(configurations_of(goal, scene), q, scene) - q  # type: ignore[arg-type]
     return bool(np.abs(away).max(axis=1).min() <= LIMIT_TOLERANCE)
 
@@ -161,8 +172,8 @@ def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple
         return Verdict()
     held = SceneConstraints(scene, constraints).around(rest.q[[0, -1]])
     proof = compile_scene(scene).proof.clearance
-    begun = motion.at(float(rest.t[0]))
-    return verify(rest, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
+    begun, end = motion.at(float(rest.t[0])), State(rest.q[-1], rest.qd[-1])
+    return verify(rest, scene, start=begun, goal=end, constraints=held.constraints, clearance=proof, before=motion)
 
 
 def _takeover(

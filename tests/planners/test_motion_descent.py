@@ -125,13 +125,46 @@ def test_gradients_at_a_moving_start_equal_differences(task: gp.Task, share: flo
     np.testing.assert_allclose(gradient[:7], differences[:7], rtol=1e-3, atol=1e-4 * np.abs(differences).max())
 
 
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("both", [False, True])
+def test_gradients_at_a_moving_end_equal_differences(task: gp.Task, share: float, both: bool) -> None:
+    """From crawling to too fast for the curve."""
+    arriving = share * task.scene.limits.velocity * np.random.default_rng(2).uniform(-1.0, 1.0, 7)
+    starts = {"leaving": arriving[::-1].copy(), "least_leg": 0.01} if both else {}
+    one = descent(bound(task), bent(task), arriving=arriving, least_last_leg=0.01, **starts)
+    x = one.controls[1:-1].ravel()
+    x[-7:] -= 0.1 * arriving / np.linalg.norm(arriving)
+    x[:7] += 0.1 * float(both) * arriving[::-1] / np.linalg.norm(arriving)
+    gradient = one.energy(x)[1].ravel()
+    step = 1e-6
+    differences = np.array(
+        [(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))]
+    )
+    error = np.abs(gradient - differences) / np.maximum(1.0, np.abs(differences).max())
+    assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
+    np.testing.assert_allclose(gradient[-7:], differences[-7:], rtol=1e-3, atol=1e-4 * np.abs(differences).max())
+
+
+def test_descents_keep_the_direction_of_a_moving_end_and_become_fast_enough_for_it(task: gp.Task) -> None:
+    arriving = 0.5 * task.scene.limits.velocity * np.random.default_rng(4).uniform(-1.0, 1.0, 7)
+    one = descent(bound(task), bent(task), arriving=arriving, least_last_leg=0.01)
+    one.run(200, np.inf)
+    last = one.controls[-1] - one.controls[-2]
+    np.testing.assert_allclose(last / np.linalg.norm(last), arriving / np.linalg.norm(arriving), atol=1e-9)
+    assert one.speed_room >= 1.0
+    speed = float(np.linalg.norm(arriving))
+    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, end_speed=speed)
+    np.testing.assert_allclose(trajectory.qd[-1], arriving, atol=1e-9)
+    assert one.duration == pytest.approx(trajectory.duration, rel=0.05)
+
+
 def test_descents_keep_the_direction_of_a_moving_start_and_become_slow_enough_for_it(task: gp.Task) -> None:
     leaving = 0.5 * task.scene.limits.velocity * np.random.default_rng(4).uniform(-1.0, 1.0, 7)
     one = descent(bound(task), bent(task), leaving=leaving, least_leg=0.01)
     one.run(200, np.inf)
     first = one.controls[1] - one.controls[0]
     np.testing.assert_allclose(first / np.linalg.norm(first), leaving / np.linalg.norm(leaving), atol=1e-9)
-    assert one.start_room >= 1.0
+    assert one.speed_room >= 1.0
     speed = float(np.linalg.norm(leaving))
     trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, start_speed=speed)
     np.testing.assert_allclose(trajectory.qd[0], leaving, atol=1e-9)

@@ -320,3 +320,29 @@ def test_too_fast_for_the_path_is_an_error() -> None:
     assert retime(line, limits, start_speed=1.7).duration == pytest.approx(1.7 / 5.0, rel=0.1)
     with pytest.raises(SettingError, match="start_speed"):
         retime(line, limits, start_speed=-1.0)
+
+
+@given(first=st.floats(0.0, 1.0), last=st.floats(0.0, 1.0), deviation=st.sampled_from([0.0, 0.1]))
+def test_timing_backwards_is_the_mirror_image(first: float, last: float, deviation: float) -> None:
+    limits = _limits([2.0] * 3, [5.0] * 3)
+    path = Path(np.array([[0.0] * 3, [1.0, 0.2, 0.0], [1.3, 1.4, 0.3], [1.0, 2.4, 0.3]]))
+    forward = retime(path, limits, deviation=deviation, start_speed=2.0 * first, end_speed=2.0 * last)
+    back = retime(path.reversed(), limits, deviation=deviation, start_speed=2.0 * last, end_speed=2.0 * first)
+    np.testing.assert_allclose(np.linalg.norm(forward.qd[[0, -1]], axis=1), [2.0 * first, 2.0 * last], atol=1e-9)
+    assert forward.duration == pytest.approx(back.duration, rel=1e-3)
+    mirrored = back.reversed()
+    t = np.linspace(0.0, forward.duration, 200)
+    np.testing.assert_allclose(mirrored.at(np.minimum(t, mirrored.t[-1])).q, forward.at(t).q, atol=2e-3)
+    for motion in (forward, mirrored):
+        state = motion.at(t * motion.duration / forward.duration)
+        assert np.abs(state.qd).max() <= 2.0 + 1e-6 and np.abs(state.qdd).max() <= 5.0 + 1e-6
+
+
+def test_an_end_speed_needs_a_run_in() -> None:
+    limits = _limits([2.0] * 2, [5.0] * 2)
+    line = Path(np.array([[0.0, 0.0], [0.3, 0.0]]))  # reaching 2 rad/s takes 0.4 rad
+    with pytest.raises(RetimingError, match="at its end"):
+        retime(line, limits, end_speed=2.0)
+    assert retime(line, limits, end_speed=1.7).duration == pytest.approx(1.7 / 5.0, rel=0.1)
+    with pytest.raises(SettingError, match="end_speed"):
+        retime(line, limits, end_speed=np.inf)

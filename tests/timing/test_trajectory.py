@@ -56,6 +56,17 @@ def test_state_at_one_time_is_that_at_many(seed: int, n: int) -> None:
         np.testing.assert_allclose(one, values, atol=_TOLERANCE)
 
 
+@given(st.integers(0, 10**6), st.integers(1, 6))
+def test_backwards_every_moment_has_the_opposite_velocity(seed: int, n: int) -> None:
+    trajectory = _random(seed, n=n)
+    back = trajectory.reversed()
+    inside = np.random.default_rng(seed).uniform(trajectory.t[0], trajectory.t[-1], 20)
+    one, two = trajectory.at(inside), back.at(trajectory.t[0] + trajectory.t[-1] - inside)
+    for sign, a, b in zip((1.0, -1.0, 1.0), one, two, strict=True):
+        np.testing.assert_allclose(sign * b, a, atol=1e-6)
+    np.testing.assert_allclose(back.reversed().q, trajectory.q, atol=_TOLERANCE)
+
+
 def test_places_are_times_by_piece() -> None:
     trajectory = _random(3)
     pieces = len(trajectory) - 1

@@ -137,22 +137,29 @@ class SceneConstraints:
         return holds
 
     def timed(
-        self, curve: Curve, *, speed: float = 1.0, slower: Restraint | None = None, start_speed: float = 0.0
+        self,
+        curve: Curve,
+        *,
+        speed: float = 1.0,
+        slower: Restraint | None = None,
+        start_speed: float = 0.0,
+        end_speed: float = 0.0,
     ) -> Trajectory:
         """Time a curve such that all limits hold along it and no contents spill.
 
         A liquid surface swings beyond the direction of the specific force, by an amount that depends on the curve.
         Timing therefore reduces the angle left to the specific force step by step until the surface stays below the
-        rim. If the last step does not suffice, the whole motion is slowed down, unless it starts with a velocity.
+        rim. If the last step does not suffice, the whole motion is slowed down, unless it has a velocity at an end.
 
         Args:
             curve: The curve.
             speed: Fraction of the limits to use; see `retime`.
             slower: Further limits on path acceleration and speed.
             start_speed: Size of the velocity at the start [rad/s].
+            end_speed: Size of the velocity at the end [rad/s].
 
         Raises:
-            RetimingError: If a limit is violated even at rest somewhere along the curve, or the start is too fast.
+            RetimingError: If a limit is violated even at rest somewhere along the curve, or no motion has these speeds.
         """
         return timed(
             curve,
@@ -162,6 +169,7 @@ class SceneConstraints:
             restraint=self.restraint(slower),
             felt=self.felt_levels,
             start_speed=start_speed,
+            end_speed=end_speed,
         )
 
     def retimed(
@@ -171,6 +179,7 @@ class SceneConstraints:
         deviation: float | Float[Array, " corner"],
         speed: float = 1.0,
         start_speed: float = 0.0,
+        end_speed: float = 0.0,
     ) -> Trajectory:
         """Time a polyline as `timed` does, with its corners cut by up to `deviation`; see `retime`."""
         return retime(
@@ -182,6 +191,7 @@ class SceneConstraints:
             restraint=self.restraint(None),
             felt=self.felt_levels,
             start_speed=start_speed,
+            end_speed=end_speed,
         )
 
     @cached_property

@@ -367,6 +367,7 @@ def fastest(
     levels: Sequence[Sequence[SpecificForceLimit]] = (),
     speed: float = 1.0,
     start: float | None = None,
+    end: float | None = None,
 ) -> TimedCurve: ...
 
 @final
@@ -495,6 +496,8 @@ class MotionDescent:
         rolling: Rolling | None = None,
         leaving: Reals | None = None,
         least_leg: float = 0.0,
+        arriving: Reals | None = None,
+        least_last_leg: float = 0.0,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...
     def harden(self) -> None: ...
@@ -510,7 +513,7 @@ class MotionDescent:
     @property
     def gap(self) -> float: ...
     @property
-    def start_room(self) -> float: ...
+    def speed_room(self) -> float: ...
 
 @final
 class Anytime:

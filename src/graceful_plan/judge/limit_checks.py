@@ -46,8 +46,10 @@ def position_check(samples: MotionSamples, motion: Path | Trajectory, scene: Sce
     return replace(check, detail=f"joint {nearest!r}: {-check.worst:.6g} inside its position limit [rad or m]")
 
 
-def dynamics_checks(trajectory: Trajectory, scene: Scene, leaving: Float[Array, " nq"]) -> dict[str, Check]:
-    """Check the samples and the extremes of the cubics between them; the motion starts with a velocity [rad/s]."""
+def dynamics_checks(
+    trajectory: Trajectory, scene: Scene, leaving: Float[Array, " nq"], arriving: Float[Array, " nq"]
+) -> dict[str, Check]:
+    """Check the samples and the extremes of the cubics between them, and the velocities at both ends [rad/s or m/s]."""
     velocity, acceleration = scene.limits.velocity, scene.limits.acceleration
     h = np.diff(trajectory.t)[:, None]
     v0, v1 = trajectory.qd[:-1], trajectory.qd[1:]
@@ -62,7 +64,7 @@ def dynamics_checks(trajectory: Trajectory, scene: Scene, leaving: Float[Array, 
     t, pieces = trajectory.t, trajectory.t[:-1]
     both = np.concatenate([t, pieces])
     most = 1.0 + LIMIT_TOLERANCE
-    steps = np.abs(np.stack([trajectory.qd[0] - leaving, trajectory.qd[-1]]))
+    steps = np.abs(np.stack([trajectory.qd[0] - leaving, trajectory.qd[-1] - arriving]))
 
     def of(samples: Array, between: Array, limit: Array, words: str) -> Check:
         values = np.abs(np.concatenate([samples, between])) / limit

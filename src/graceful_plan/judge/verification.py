@@ -76,7 +76,7 @@ def verify(
     scene: Scene,
     *,
     start: ArrayLike | State | None = None,
-    goal: ArrayLike | PoseGoal | None = None,
+    goal: ArrayLike | PoseGoal | State | None = None,
     cost: CostBreakdown | None = None,
     cost_path: Path | None = None,
     components: Sequence[str] = ("carried", "contents"),
@@ -95,7 +95,8 @@ def verify(
         scene: The scene.
         start: Required start: a configuration, or the state of a robot that moves, whose velocity the motion has to
             continue; None to skip the check. Without a state, the motion has to start at rest.
-        goal: Required end: a configuration, several alternatives, or a pose; None to skip the check.
+        goal: Required end: a configuration, several alternatives, a pose, or a state, with whose velocity the motion
+            has to end; None to skip the check. Without a state, the motion has to end at rest.
         cost: Claimed cost by Algorithm 1, `ImpactCost("box_overlap")`, to be recomputed; None to skip the check.
             Do not pass the cost of any other model: it would be compared with Algorithm 1 all the same.
         cost_path: The path of the claimed cost, if it is not the motion itself.
@@ -134,6 +135,7 @@ def verify(
         raise SettingError("start_tolerance", start_tolerance, "a finite number >= 0")
     start_tolerance = float(start_tolerance)
     q_start, leaving = _start(start, nq)
+    arriving = finite_array("goal.qd", goal.qd, ndim=1, last=nq) if isinstance(goal, State) else np.zeros(nq)
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     too_long = _too_long(motion, scene, step)
     if too_long:
@@ -148,7 +150,7 @@ def verify(
             **rule_checks(motion, scene, rules, before if _continues(motion, start) else None),
         }
     if isinstance(motion, Trajectory):
-        checks |= dynamics_checks(motion, scene, leaving)
+        checks |= dynamics_checks(motion, scene, leaving, arriving)
         if np.isfinite(scene.limits.torque).any():
             checks["torque"] = torque_check(motion, scene)
     if scene.base is not None:
@@ -161,7 +163,8 @@ def verify(
     if isinstance(goal, PoseGoal):
         checks["goal"] = _pose(goal, motion.q[-1], scene, float(end[1]))
     elif goal is not None:
-        goals = np.atleast_2d(finite_array("goal", goal, last=nq))
+        q_goal = goal.q if isinstance(goal, State) else goal
+        goals = np.atleast_2d(finite_array("goal", q_goal, last=nq))
         if not len(goals):
             raise ShapeError("goal", goals.shape, f"({nq},) or (n >= 1, {nq})")
         checks["goal"] = _end_point(motion.q[-1], goals, float(end[1]), scene.endless)

@@ -199,6 +199,8 @@ class MotionDescents:
         effort: Counter of descents over all rounds.
         leaving: Velocity at the start, which curves keep [rad/s]; None: at rest.
         least_leg: Least distance of the second control point from a moving start [rad].
+        arriving: Velocity at the end, which curves keep [rad/s]; None: at rest.
+        least_last_leg: Least distance of the last but one control point from a moving end [rad].
     """
 
     space: _native.Space
@@ -215,6 +217,8 @@ class MotionDescents:
     effort: DescentCount = field(default_factory=DescentCount)
     leaving: Float[Array, " nq"] | None = None
     least_leg: float = 0.0
+    arriving: Float[Array, " nq"] | None = None
+    least_last_leg: float = 0.0
 
     def controls(self, start: Start, stage: Stage) -> int:
         """Return the number of control points: that of the stage, or more for a long path."""
@@ -247,6 +251,8 @@ class MotionDescents:
             rolling=start.kind.rolling,
             leaving=self.leaving,
             least_leg=self.least_leg,
+            arriving=self.arriving,
+            least_last_leg=self.least_last_leg,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent
@@ -264,8 +270,8 @@ class MotionDescents:
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
         """Descend, with a heavier penalty while the curve is too close to obstacles; return None if it stays too close.
 
-        The penalty also becomes heavier while the curve leads into a moving entity, or the robot is too fast for its
-        beginning, but such a curve is returned if it is free otherwise.
+        The penalty also becomes heavier while the curve leads into a moving entity, or does not allow the speed at an
+        end, but such a curve is returned if it is free otherwise.
         """
         descent = self.descended(start, stage, budget)
         if descent is None:
@@ -273,7 +279,7 @@ class MotionDescents:
         for hardening in range(_HARDENINGS + 1):
             curve = start.kind.curve(descent.controls)
             enough = self.has_clearance is None or hardening >= _FOR_CLEARANCE or self.has_clearance(curve, start)
-            passes = hardening == _HARDENINGS or (descent.gap > 0.0 and descent.start_room >= 1.0)
+            passes = hardening == _HARDENINGS or (descent.gap > 0.0 and descent.speed_room >= 1.0)
             if enough and passes and self.is_free(curve, start):
                 return DescentResult(curve, descent.value, start)
             if hardening < _HARDENINGS:

@@ -13,7 +13,7 @@ from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
+from graceful_plan.query.endpoints.lead_in import LeadIn, RunIn, Takeover
 from graceful_plan.scene.pose_goal import PoseGoal
 
 Stop = Literal["first", "converged", "time_limit"]
@@ -40,6 +40,7 @@ class Request:
     | callback     | called with every improvement                                         |      |
     | lead         | lead-in of a moving start; None from rest                             |      |
     | takeover     | the motion that the robot leaves at the start; None: it has rested    |      |
+    | run_in       | run-in of a moving goal; None to rest                                 |      |
     | candidates   | largest number of distinct motions to return                          |      |
     """
 
@@ -56,12 +57,18 @@ class Request:
     callback: Callback | None = None
     lead: LeadIn | None = None
     takeover: Takeover | None = None
+    run_in: RunIn | None = None
     candidates: int = 1
 
     @property
     def start_speed(self) -> float:
         """Size of the velocity at the start [rad/s]."""
         return 0.0 if self.lead is None else float(np.linalg.norm(self.lead.velocity))
+
+    @property
+    def end_speed(self) -> float:
+        """Size of the velocity at the end [rad/s]."""
+        return 0.0 if self.run_in is None else float(np.linalg.norm(self.run_in.velocity))
 
     @property
     def only_length(self) -> bool:

@@ -11,7 +11,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings, verify
 from graceful_plan.query.candidates.motions import Motion
-from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
+from graceful_plan.query.endpoints.lead_in import LeadIn, RunIn, Takeover
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -30,7 +30,14 @@ def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
     verdict = verdict_of(
-        motion, request.objective, request.constraints, pose, request.verification, request.lead, request.takeover
+        motion,
+        request.objective,
+        request.constraints,
+        pose,
+        request.verification,
+        request.lead,
+        request.takeover,
+        request.run_in,
     )
     return VerifiedMotion(motion=motion, verdict=verdict)
 
@@ -54,6 +61,7 @@ def verdict_of(
     verification: VerificationSettings | None = None,
     lead: LeadIn | None = None,
     takeover: Takeover | None = None,
+    run_in: RunIn | None = None,
 ) -> Verdict:
     """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given.
 
@@ -65,7 +73,9 @@ def verdict_of(
         verification: Resolution of the judge.
         lead: Lead-in of a moving start; None: the motion starts at rest.
         takeover: The motion that the robot leaves at the start; None: it has rested.
+        run_in: Run-in of a moving goal; None: the motion ends at rest.
     """
+    end = motion.path.q[-1] if run_in is None else State(motion.path.q[-1], run_in.velocity)
     scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge can recompute only the published model, over length or time: it has no second implementation of others.
@@ -76,7 +86,7 @@ def verdict_of(
         scene,
         start=motion.path.q[0] if lead is None else State(motion.path.q[0], lead.velocity),
         before=None if takeover is None else takeover.before,
-        goal=motion.path.q[-1] if pose is None else pose,
+        goal=end if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),
         exposure=exposure,

@@ -47,8 +47,9 @@ def retime(
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
     start_speed: float = 0.0,
+    end_speed: float = 0.0,
 ) -> Trajectory:
-    """Time a path as fast as the limits allow, to rest, and from rest unless it has a speed at the start.
+    """Time a path as fast as the limits allow, from rest to rest unless it has a speed at an end.
 
     Args:
         path: Polyline in configuration space; start and end are kept exactly.
@@ -62,6 +63,7 @@ def retime(
         felt: Limits on the specific force of a carried object such as a full cup; see
             `SceneConstraints.felt_levels`.
         start_speed: Size of the velocity at the start, along the path [rad/s, Euclidean].
+        end_speed: Size of the velocity at the end, along the path [rad/s, Euclidean].
 
     Returns:
         A trajectory within the limits at every time, not only at its samples. A path without length gives a single
@@ -96,6 +98,7 @@ def retime(
         restraint=restraint,
         felt=felt,
         start_speed=start_speed,
+        end_speed=end_speed,
     )
 
 
@@ -109,14 +112,16 @@ def timed(
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
     start_speed: float = 0.0,
+    end_speed: float = 0.0,
 ) -> Trajectory:
     """Time a curve as fast as the limits allow; arguments and errors as in `retime`."""
     _check_limits(limits, joints)
-    if not (is_real(start_speed) and 0.0 <= start_speed < np.inf):
-        raise SettingError("start_speed", start_speed, "a finite speed of at least 0 rad/s")
+    for name, size in (("start_speed", start_speed), ("end_speed", end_speed)):
+        if not (is_real(size) and 0.0 <= size < np.inf):
+            raise SettingError(name, size, "a finite speed of at least 0 rad/s")
+        if size and inverse_dynamics is not None:
+            raise SettingError(name, size, "0 with torque limits: toppra times from rest to rest")
     if inverse_dynamics is not None:
-        if start_speed:
-            raise SettingError("start_speed", start_speed, "0 with torque limits: toppra times from rest")
         if restraint is not None or felt is not None:
             raise SettingError("restraint", restraint, "None with torque limits: toppra does not get it")
         return slowed(_refined_with_torque(curve, limits, joints, inverse_dynamics), 1.0 / speed)
@@ -125,11 +130,20 @@ def timed(
         grid = curve.grid(density)
         limit = None if restraint is None else np.ascontiguousarray(restraint(grid))
         try:
-            found = fastest(grid, velocity, acceleration, limit=limit, felt=felt, speed=speed, start_speed=start_speed)
+            found = fastest(
+                grid,
+                velocity,
+                acceleration,
+                limit=limit,
+                felt=felt,
+                speed=speed,
+                start_speed=start_speed,
+                end_speed=end_speed,
+            )
         except RetimingError:
-            if not start_speed or density == _FINEST:
+            if not (start_speed or end_speed) or density == _FINEST:
                 raise
-            continue  # on a finer grid, a motion with a given start needs less room below the limits
+            continue  # on a finer grid, a motion with a given speed at an end needs less room below the limits
         if found.excess <= ACCEPTED_SLOWDOWN:
             break
     return Trajectory(found.t, found.q, found.qd, found.qdd, joints)

@@ -3,7 +3,7 @@ r"""Time-optimal path parametrisation by reachability analysis (TOPP-RA) for a g
 With the squared path speed :math:`x = \dot s^2` and the path acceleration :math:`u = \ddot s`, constant on each
 interval of the grid, every joint acceleration :math:`q' u + q'' x` is linear in (u, x) and
 :math:`x_{i+1} = x_i + 2 \Delta_i u_i`. A backward pass finds the largest x from which the end can still be reached at
-rest; a forward pass then goes as fast as that allows.
+rest, or at no more than a given speed; a forward pass then goes as fast as that allows.
 
 There are two implementations. `fastest` takes symmetric velocity and acceleration limits and limits on the specific
 force of a carried object. It solves them in closed form in the core (`timing/curve_timing.hpp`) and avoids the second
@@ -65,6 +65,7 @@ def fastest(
     felt: SpecificForceLevels | None = None,
     speed: float = 1.0,
     start_speed: float = 0.0,
+    end_speed: float = 0.0,
 ) -> _native.TimedCurve:
     """Compute the time-optimal motion along a curve, at rest at the grid's stops.
 
@@ -77,10 +78,11 @@ def fastest(
         speed: Fraction of full speed at which the motion will finally be executed; the other limits apply at that
             speed.
         start_speed: Size of the velocity at the start [rad/s]; if it is not 0, the motion is not at rest there.
+        end_speed: Size of the velocity at the end [rad/s], likewise.
 
     Raises:
-        RetimingError: If the motion comes to a halt, a limit is violated even at rest, or the motion starts too fast
-            for the curve.
+        RetimingError: If the motion comes to a halt, a limit is violated even at rest, the motion starts too fast for
+            the curve, or the curve is too short to reach the speed at its end.
     """
     felt = SpecificForceLevels(None, (), ()) if felt is None else felt
     found = _native.fastest(
@@ -91,9 +93,13 @@ def fastest(
         levels=felt.levels,
         speed=speed,
         start=start_speed or None,
+        end=end_speed or None,
     )
-    if start_speed and found.failed_point == 0 and found.failed_limit < 0:
-        raise RetimingError(f"no motion that starts at {start_speed:.3g} rad/s follows the path within the limits")
+    if end_speed and found.failed_point == len(grid.s) - 1 and found.failed_limit < 0:
+        raise RetimingError(f"no motion along the path reaches {end_speed:.3g} rad/s at its end within the limits")
+    if (start_speed or end_speed) and found.failed_point == 0 and found.failed_limit < 0:
+        speeds = f"{start_speed:.3g} rad/s at the start and {end_speed:.3g} rad/s at the end"
+        raise RetimingError(f"no motion with {speeds} follows the path within the limits")
     return _checked(found, grid, felt.names)
 
 

@@ -222,6 +222,14 @@ class Trajectory:
         times = np.append(t, self.t[self.t > t + _SHORTEST])
         return Trajectory(times, *self.at(times), self.joints)
 
+    def reversed(self) -> Trajectory:
+        """Return the motion backwards in time, from its end to its start, on a clock that begins at the same time."""
+        t, qdd = self.t[0] + self.t[-1] - self.t[::-1], self.qdd
+        if len(self) > 1:
+            first, last = self.piece_accelerations
+            qdd = np.concatenate([last[::-1], first[:1]])
+        return Trajectory(t, self.q[::-1], -self.qd[::-1], qdd, self.joints)
+
     def later(self, seconds: float) -> Trajectory:
         """Return the same motion on a clock that is behind by a time [s]: it starts that much later."""
         return Trajectory(self.t + seconds, self.q, self.qd, self.qdd, self.joints)

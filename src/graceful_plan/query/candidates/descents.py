@@ -43,7 +43,7 @@ A descent from one path ends within a percent of the shortest motion of its homo
 another class."""
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _LEAST_LEG = 0.25
-"""Least distance of the second control point from a moving start, relative to the length of the lead-in."""
+"""Least distance of the control point next to a moving start or goal, relative to the length of lead-in or run-in."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the sphere model is not checked [rad]."""
 
@@ -84,6 +84,8 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         settings=_affordable(settings, objective),
         leaving=None if request.lead is None else request.lead.velocity,
         least_leg=0.0 if request.lead is None else _LEAST_LEG * request.lead.path.length,
+        arriving=None if request.run_in is None else request.run_in.velocity,
+        least_last_leg=0.0 if request.run_in is None else _LEAST_LEG * request.run_in.path.length,
     )
 
 
@@ -120,7 +122,8 @@ def start_onto(whole: Path, ends: Endpoints) -> Start:
 def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
     """Return a whole path as a start of descents."""
     tight_start = 0.0 if ends.clear_lead else _tight(ends.departure)
-    return Start(whole, tight_start, _tight(ends.arrivals[arrival]), arrival=arrival)
+    tight_end = 0.0 if ends.clear_run_in else _tight(ends.arrivals[arrival])
+    return Start(whole, tight_start, tight_end, arrival=arrival)
 
 
 def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[SmoothCurve, Start], bool]:

@@ -14,7 +14,6 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
 from graceful_plan.query.candidates.departure import with_best_departure
 from graceful_plan.query.endpoints.endpoints import Endpoints
-from graceful_plan.query.endpoints.lead_in import LeadIn
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
@@ -48,7 +47,9 @@ class Motion:
 def timed_curve(found: DescentResult, request: Request) -> Motion | None:
     """Time the curve of a descent; return None if no timing satisfies the constraints."""
     try:
-        trajectory = request.constraints.timed(found.curve, speed=request.speed, start_speed=request.start_speed)
+        trajectory = request.constraints.timed(
+            found.curve, speed=request.speed, start_speed=request.start_speed, end_speed=request.end_speed
+        )
     except RetimingError:
         return None
     motion = costed(trajectory.path, trajectory, found.start.arrival, request)
@@ -58,8 +59,8 @@ def timed_curve(found: DescentResult, request: Request) -> Motion | None:
 def along(path: Path, request: Request, ends: Endpoints, late: Callable[[], bool] = lambda: False) -> Iterator[Motion]:
     """Yield motions along a polyline that cut its corners less and less.
 
-    The first one cuts each corner as far as the fast checker finds it free. From a moving start, further ones stop at
-    the end of the lead-in.
+    The first one cuts each corner as far as the fast checker finds it free. With a moving start or goal, further ones
+    stop at the end of the lead-in and at the beginning of the run-in.
 
     Args:
         path: Path of the search.
@@ -81,8 +82,8 @@ def along(path: Path, request: Request, ends: Endpoints, late: Callable[[], bool
                 raise
         if late():
             return
-        if request.lead is not None:
-            yield from _stopping(whole, deviation, arrival, request, request.lead)
+        if request.lead is not None or request.run_in is not None:
+            yield from _stopping(whole, deviation, arrival, request)
 
 
 def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
@@ -112,25 +113,43 @@ def price_of_time(request: Request) -> float:
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline with its corners cut by up to `deviation` [rad]."""
     trajectory = request.constraints.retimed(
-        whole, deviation=deviation, speed=request.speed, start_speed=request.start_speed
+        whole,
+        deviation=deviation,
+        speed=request.speed,
+        start_speed=request.start_speed,
+        end_speed=request.end_speed,
     )
     return costed(whole, trajectory, arrival, request)
 
 
 def _stopping(
-    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request, lead: LeadIn
+    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request
 ) -> Iterator[Motion]:
-    """Yield motions that stop at the end of the lead-in; with contents, which swing there, also slower ones."""
-    onward = Path(whole.q[len(lead.path) - 1 :])
-    if len(onward) < 2 or np.abs(onward.q[0] - lead.path.q[-1]).max() > 0.0:
+    """Yield motions that stop between lead-in, path and run-in; with contents, which swing there, also slower ones."""
+    lead, run_in = request.lead, request.run_in
+    q = whole.q
+    if lead is not None:
+        q = q[len(lead.path) - 1 :]
+    if run_in is not None:
+        q = q[: len(q) + 1 - len(run_in.path)]
+    leads = lead is None or (len(q) and np.array_equal(q[0], lead.path.q[-1]))
+    arrives = run_in is None or (len(q) and np.array_equal(q[-1], run_in.path.q[0]))
+    if len(q) < 2 or not (leads and arrives):
         return
+    onward = Path(q)
     corners = deviation if np.ndim(deviation) == 0 else _free_deviations(onward, request)
     for speed in _SLOWER if request.constraints.felt else _SLOWER[:1]:
         try:
             after = request.constraints.retimed(onward, deviation=corners, speed=speed * request.speed)
         except RetimingError:
             return
-        yield costed(whole, lead.stop.spliced(after.later(lead.stop.duration)), arrival, request)
+        if len(after) == 1:  # too short for a motion between lead-in and run-in
+            return
+        if lead is not None:
+            after = lead.stop.spliced(after.later(lead.stop.duration))
+        if run_in is not None:
+            after = after.spliced(run_in.motion.later(after.duration))
+        yield costed(whole, after, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import ShapeError
+from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.tasks import named_configuration
+from graceful_plan.timing.trajectory import State
 
 Array = np.ndarray
 _ROUNDING = 1e-12
@@ -27,7 +28,10 @@ def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scen
         ShapeError: If a configuration does not fit the scene's joints.
         NonFiniteError: If a configuration contains a NaN or an infinity.
         UnknownNameError: If a keyframe does not exist.
+        UnsupportedError: If a goal is the state of a robot that moves; `plan` and `replan` take one such goal.
     """
+    if isinstance(goal, State) or (isinstance(goal, Sequence) and any(isinstance(item, State) for item in goal)):
+        raise UnsupportedError("a goal with a velocity is for plan() and replan(), and must be the only goal")
     nq = len(scene.joints)
     if isinstance(goal, str):
         return named_configuration(goal, scene)[None]

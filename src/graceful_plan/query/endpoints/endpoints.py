@@ -49,6 +49,8 @@ class Endpoints:
     """Adjustments that made start and goals usable."""
     clear_lead: bool = False
     """Whether `departure` is the lead-in of a moving start alone, and the fast checker finds it free."""
+    clear_run_in: bool = False
+    """Whether the only one of `arrivals` is the run-in of a moving goal alone, and the fast checker finds it free."""
 
     @property
     def clearance(self) -> float:
@@ -65,7 +67,8 @@ class Endpoints:
 
     def in_the_clear(self, index: int) -> bool:
         """Return whether a whole path with this arrival has no escape paths, so that the fast checker finds it free."""
-        return (len(self.departure) == 1 or self.clear_lead) and len(self.arrivals[index]) == 1
+        leaves, arrives = len(self.departure) == 1, len(self.arrivals[index]) == 1
+        return (leaves or self.clear_lead) and (arrives or self.clear_run_in)
 
 
 def find_endpoints(

@@ -1,4 +1,4 @@
-"""Velocity and lead-in of a moving start, and the motion that it takes over from."""
+"""Velocity and lead-in of a moving start, the motion that it takes over from, and the run-in of a moving goal."""
 
 from __future__ import annotations
 
@@ -77,3 +77,31 @@ class LeadIn:
         """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""
         departure = Path(np.vstack([self.path.q[:-1], ends.departure.q]))
         return replace(ends, departure=departure, clear_lead=self.is_clear and len(ends.departure) == 1)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RunIn:
+    """A moving goal.
+
+    | field    | meaning                                                       | unit  | shape |
+    |----------|---------------------------------------------------------------|-------|-------|
+    | velocity | velocity at the goal                                          | rad/s | nq    |
+    | path     | path to it, in which the robot can reach the velocity         | rad   | n nq  |
+    | is_clear | whether the fast checker finds that path free                 |       |       |
+    | motion   | verified motion along it, from rest at time 0                 |       |       |
+    | note     | why the robot cannot stop beyond the goal; empty if it can    |       |       |
+    """
+
+    velocity: Float[Array, " nq"]
+    path: Path
+    is_clear: bool
+    motion: Trajectory
+    note: str = ""
+
+    def ending(self, ends: Endpoints) -> Endpoints:
+        """Return the endpoints of a search to the beginning of the run-in, with the run-in after the arrival."""
+        (arrival,) = ends.arrivals
+        arrivals = (Path(np.vstack([arrival.q, self.path.q[1:]])),)
+        notes = (*ends.notes, *([self.note] if self.note else []))
+        return replace(ends, arrivals=arrivals, clear_run_in=self.is_clear and len(arrival) == 1, notes=notes)

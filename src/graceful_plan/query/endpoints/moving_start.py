@@ -8,7 +8,7 @@ is the path of another stop.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,33 +16,19 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
+from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.judge.verification import verify
-from graceful_plan.path import Path, finite_array
+from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.configurations import Configuration
-from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.goals import start_configuration
 from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.query.endpoints.real_start import RealStart, real_start, without_turns
+from graceful_plan.query.endpoints.stopping import path_along, stops_from, too_fast, within_limits
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.trajectory import REST, State, Trajectory
+from graceful_plan.timing.trajectory import REST, State
 
 Array = np.ndarray
-
-_SHORTEST = 1e-3
-"""Least length of a lead-in [rad]: timing merges vertices that are closer than 1e-5."""
-_LONGER = (1.0001, 1.05, 1.6, 3.0, 6.0, 12.0)
-"""Lengths of lead-ins to try, relative to the braking distance within the limits of the joints; without a carried
-object whose specific force is limited, only the first two."""
-_SAMPLES = 9
-"""Configurations of a lead-in that the fast checker checks, and vertices of one that is not straight."""
-_STUB = 0.25
-"""Length of the straight beginning of a lead-in that is not straight, relative to the distance of its vertices."""
-_EXCESS = 1e-7
-"""Largest relative excess of a start velocity over its limit that is clipped instead of refused."""
-_ROUNDING = 1e-9
-"""Relative reserve of a start velocity below its limit."""
 
 
 def find_start(
@@ -82,13 +68,12 @@ def find_start(
         raise UnsupportedError("a moving start does not support mobile bases; stop first, then plan from rest")
     if max_wait:
         raise SettingError("max_wait", max_wait, "0 for a robot that moves: it cannot wait")
-    excess = np.abs(velocity) / (speed * scene.limits.velocity)
-    if excess.max() > 1.0 + _EXCESS:
-        return PlanResult(status=PlanStatus.INVALID_START, detail=_too_fast(velocity, excess, speed, scene))
-    velocity = velocity / np.maximum(excess * (1.0 + _ROUNDING), 1.0)
+    possible = within_limits(velocity, speed, scene)
+    if possible is None:
+        return PlanResult(status=PlanStatus.INVALID_START, detail=too_fast("start", velocity, speed, scene))
     q, turns = without_turns(q, scene)
     takeover = None if takeover is None else takeover.without_turns(turns)
-    return _stoppable(State(q, velocity), turns, constraints, speed, takeover, late=late, stops=stops)
+    return _stoppable(State(q, possible), turns, constraints, speed, takeover, late=late, stops=stops)
 
 
 def _checked(state: State, scene: Scene) -> tuple[Array, Array]:
@@ -112,7 +97,7 @@ def _stoppable(
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
     why = ""
-    for stop, is_straight in _stops(state, held, speed, takeover, late):
+    for stop, is_straight in stops_from(state, held, speed, late, takeover):
         if late():
             return PlanResult(status=PlanStatus.TIMEOUT, detail="start: the robot moves, and no stop was found in time")
         verdict = verify(
@@ -128,63 +113,7 @@ def _stoppable(
             why = why or f"the straight stop takes {stop.duration:.3g} s; {problems}"
             continue
         if not stops:
-            path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
-            is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
-            path = Path(path.q[[0, -1]]) if is_straight else _tangent(path, state.qd)
+            path, is_clear = path_along(stop, state.qd, held, is_straight=is_straight)
             return RealStart(stop.q[-1], turns, takeover=takeover), LeadIn(state.qd, path, is_clear, stop)
         return RealStart(stop.q[-1], turns, stop, note="it stops first", takeover=takeover), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
-
-
-def _tangent(path: Path, velocity: Float[Array, " nq"]) -> Path:
-    """Return a path that leaves exactly along a velocity, apart from that the same."""
-    step = _STUB * float(path.segment_lengths[0]) / np.linalg.norm(velocity)
-    return Path(np.insert(path.q, 1, path.q[0] + step * velocity, axis=0))
-
-
-def _stops(
-    state: State, held: SceneConstraints, speed: float, takeover: Takeover | None, late: Callable[[], bool]
-) -> Iterator[tuple[Trajectory, bool]]:
-    """Yield stops to try: straight ones, one along the former motion, and one in which every joint brakes by itself.
-
-    Each comes with whether it is straight. Once it is late, no more stops are timed.
-    """
-    yield from ((straight, True) for straight in _straight(state, held, speed, late))
-    if takeover is not None and not late() and (along := takeover.stop()) is not None:
-        yield along, False
-    yield _each_joint(state, held.scene, speed), False
-
-
-def _straight(state: State, held: SceneConstraints, speed: float, late: Callable[[], bool]) -> Iterator[Trajectory]:
-    """Yield straight stops from the shortest one on; with contents, longer ones are gentler."""
-    size = float(np.linalg.norm(state.qd))
-    seconds = float((np.abs(state.qd) / (speed**2 * held.scene.limits.acceleration)).max())
-    for longer in _LONGER if held.felt else _LONGER[:2]:
-        if late():
-            return
-        length = max(_SHORTEST, longer * 0.5 * size * seconds)
-        line = Path(np.stack([state.q, state.q + length / size * state.qd]))
-        try:
-            yield held.retimed(line, deviation=0.0, speed=speed, start_speed=size)
-        except RetimingError:
-            continue
-
-
-def _each_joint(state: State, scene: Scene, speed: float) -> Trajectory:
-    """Return the stop in which each joint brakes as hard as it may, so that each one stops as early as it can."""
-    most = speed**2 * scene.limits.acceleration * (1.0 - _ROUNDING)
-    braking, seconds = -np.sign(state.qd) * most, np.abs(state.qd) / most
-    t = np.unique(np.append(0.0, seconds[seconds > 0.0]))
-    t = t[np.append(True, np.diff(t) > 1e-6)]
-    past = np.minimum(t[:, None], seconds)
-    qd = state.qd + braking * past
-    qd[t[:, None] >= seconds - 1e-6] = 0.0
-    qdd = np.where(t[:, None] < seconds - 1e-6, braking, 0.0)
-    return Trajectory(t, state.q + past * (state.qd + 0.5 * braking * past), qd, qdd, scene.joints)
-
-
-def _too_fast(velocity: Float[Array, " nq"], excess: Float[Array, " nq"], speed: float, scene: Scene) -> str:
-    worst = int(excess.argmax())
-    share = "" if speed == 1.0 else f"{speed:g} of "
-    limit = f"{share}its limit {scene.limits.velocity[worst]:.9g}"
-    return f"start: joint {scene.joints[worst]!r} moves at {velocity[worst]:.9g} rad/s or m/s, above {limit}"

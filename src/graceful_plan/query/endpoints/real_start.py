@@ -80,6 +80,7 @@ class RealStart:
             scene,
             start=State(self.first.q[0], self.first.qd[0]),
             before=None if self.takeover is None else self.takeover.before,
+            goal=None if request.run_in is None else State(whole.q[-1], request.run_in.velocity),
             constraints=request.constraints.constraints,
             step=looks.step,
             clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,

@@ -391,7 +391,7 @@ class MotionDescentRun {
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
   double gap() const { return descent_.gap(); }
-  double start_room() const { return descent_.start_room(); }
+  double speed_room() const { return descent_.speed_room(); }
   nb::tuple energy(Reals controls) {
     require_numbers(controls, descent_.unknowns(), "inner controls of the descent", kMaxPosition);
     const Turn turn(taken_);
@@ -404,7 +404,7 @@ class MotionDescentRun {
   static std::unique_ptr<MotionCurve> curve(const Space& space, const MotionSettings& of,
                                             const RollingSettings* rolling) {
     if (!rolling) return nullptr;
-    require(of.leaving.empty(), "a base that starts at rest");
+    require(of.leaving.empty() && of.arriving.empty(), "a base that starts and ends at rest");
     require(space.dim >= 3, "a base has three joints");
     return std::make_unique<RollingCurve>(space, of.controls, of.density, *rolling);
   }
@@ -419,11 +419,12 @@ class MotionDescentRun {
     for (double share : {settings.time_price, settings.push, settings.tolerance, settings.points})
       require(in_range(share, 0), "settings of a descent");
     for (double share : {settings.tight_start, settings.tight_end}) require(in_range(share, 0), "tight ends");
-    require(in_range(settings.least_leg, 0), "length of the first leg");
-    if (!settings.leaving.empty()) {
-      require(settings.leaving.size() == size_t(space.dim), "a velocity at the start");
-      for (double number : settings.leaving) require(std::abs(number) <= kMaxNumber, "a velocity at the start");
-      require(size_of(settings.leaving) > 1e-9, "a velocity at the start");
+    require(in_range(settings.least_leg, 0) && in_range(settings.least_last_leg, 0), "lengths of outer legs");
+    for (const Point& velocity : {settings.leaving, settings.arriving}) {
+      if (velocity.empty()) continue;
+      require(velocity.size() == size_t(space.dim), "a velocity at an end");
+      for (double number : velocity) require(std::abs(number) <= kMaxNumber, "a velocity at an end");
+      require(size_of(velocity) > 1e-9, "a velocity at an end");
     }
     return space;
   }
@@ -558,18 +559,20 @@ void bind_search(nb::module_& m) {
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
              double tight_end, const std::vector<SpecificForceLimit>& felt, bool fitted, bool slosh, double points,
-             const RollingSettings* rolling, const std::optional<Reals>& leaving, double least_leg) {
+             const RollingSettings* rolling, const std::optional<Reals>& leaving, double least_leg,
+             const std::optional<Reals>& arriving, double least_last_leg) {
             new (self) MotionDescentRun(
                 space, path,
                 {point(velocity), point(acceleration), controls, density, rough, time_price, push, tolerance,
-                 tight_start, tight_end, felt, fitted, slosh, points, leaving ? point(*leaving) : Point{}, least_leg},
+                 tight_start, tight_end, felt, fitted, slosh, points, leaving ? point(*leaving) : Point{}, least_leg,
+                 arriving ? point(*arriving) : Point{}, least_last_leg},
                 rolling);
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
           "tight_end"_a = 0.0, "felt"_a = std::vector<SpecificForceLimit>{}, "fitted"_a = false, "slosh"_a = true,
           "points"_a = 1.0, "rolling"_a = nb::none(), "leaving"_a = nb::none(), "least_leg"_a = 0.0,
-          nb::keep_alive<1, 2>())
+          "arriving"_a = nb::none(), "least_last_leg"_a = 0.0, nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
@@ -578,7 +581,7 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("duration", &MotionDescentRun::duration)
       .def_prop_ro("gap", &MotionDescentRun::gap)
-      .def_prop_ro("start_room", &MotionDescentRun::start_room);
+      .def_prop_ro("speed_room", &MotionDescentRun::speed_room);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(
           "__init__",

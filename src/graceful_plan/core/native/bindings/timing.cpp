@@ -57,7 +57,7 @@ struct GivenCurve {
 
 TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Reals velocity, Reals acceleration,
                    const std::optional<Reals>& limit, const Core* core, std::vector<CurveTiming::Level> levels,
-                   double speed, std::optional<double> start) {
+                   double speed, std::optional<double> start, std::optional<double> end) {
   const size_t dim = velocity.size(), n = GivenCurve{step, q, slope, bend}.check(velocity, acceleration);
   require(stop.size() == n + 1, "a curve");
   require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
@@ -69,13 +69,16 @@ TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Rea
   }
   if (!levels.empty()) require_numbers(q, "a curve", kMaxPosition);
   require(!start || in_range(*start, 0), "speed at the start");
+  require(!end || in_range(*end, 0), "speed at the end");
   std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
   if (start) rests.front() = 0;
+  if (end) rests.back() = 0;
   CurveTiming timing(core, std::move(levels), point(velocity), point(acceleration));
   nb::gil_scoped_release release;
   const bool found = timing.run({n, dim, step.data(), slope.data(), bend.data(), rests.data()}, q.data(),
                                 limit ? limit->data() : nullptr, limit ? limit->shape(1) : 0, speed,
-                                start.value_or(std::numeric_limits<double>::infinity()));
+                                start.value_or(std::numeric_limits<double>::infinity()),
+                                end.value_or(std::numeric_limits<double>::infinity()));
   if (!found) return {{}, timing.speeds(), timing.trouble(), dim};
   return {timing.motion(), timing.speeds(), {}, dim};
 }
@@ -199,7 +202,8 @@ void bind_timing(nb::module_& m) {
         "acceleration"_a);
   m.def("fastest", &fastest, nb::kw_only(), "step"_a, "q"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a,
         "acceleration"_a, "limit"_a = nb::none(), "core"_a.none() = nb::none(),
-        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0, "start"_a = nb::none());
+        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0, "start"_a = nb::none(),
+        "end"_a = nb::none());
 }
 
 }  // namespace gp

@@ -73,14 +73,53 @@ class MotionCurve {
   Point lower_, upper_;
 };
 
-// A curve in joint space: each joint is a column and an axis. If the motion starts with a velocity, the second control
-// point is projected onto the ray from the first one along it, so that the curve leaves in that direction.
+// The control point next to an end of a curve at which the motion has a velocity. It is projected onto a ray from that
+// end, so that the curve leaves or arrives in that direction.
+class ControlOnRay {
+ public:
+  // `direction`: unit vector from the end into the curve, or empty for a free control point. `least`: least distance
+  // from the end [rad].
+  ControlOnRay(Point direction, double least) : direction_(std::move(direction)), least_(least) {}
+
+  bool given() const { return !direction_.empty(); }
+  Point projected(const Point& end, const double* x) const {
+    Point point = end;
+    const double leg = std::max(least_, along(end, x));
+    for (size_t j = 0; j < direction_.size(); ++j) point[j] += leg * direction_[j];
+    return point;
+  }
+  void place(const Point& end, const double* x) { point_ = projected(end, x), shortest_ = along(end, x) <= least_; }
+  // The control point of the last place().
+  const double* point() const { return point_.data(); }
+  // Maps a gradient with respect to the control point to one with respect to the unknowns of the last place().
+  void collect(double* gradient) const {
+    double along = 0;
+    for (size_t j = 0; j < direction_.size(); ++j) along += direction_[j] * gradient[j];
+    for (size_t j = 0; j < direction_.size(); ++j) gradient[j] = shortest_ ? 0.0 : along * direction_[j];
+  }
+
+ private:
+  double along(const Point& end, const double* x) const {
+    double sum = 0;
+    for (size_t j = 0; j < direction_.size(); ++j) sum += direction_[j] * (x[j] - end[j]);
+    return sum;
+  }
+
+  const Point direction_;
+  const double least_;
+  Point point_;
+  bool shortest_ = false;  // whether the distance is the least one
+};
+
+// A curve in joint space: each joint is a column and an axis.
 class JointCurve final : public MotionCurve {
  public:
-  // `leaving`: direction of the start velocity, as a unit vector, or empty. `least`: least length of the first leg
-  // [rad].
-  JointCurve(const Space& space, size_t controls, size_t density, Point leaving = {}, double least = 0)
-      : MotionCurve(controls, density, size_t(space.dim)), space_(space), leaving_(std::move(leaving)), least_(least) {
+  // `second` and `before_last` are the control points next to the ends.
+  JointCurve(const Space& space, size_t controls, size_t density, ControlOnRay second, ControlOnRay before_last)
+      : MotionCurve(controls, density, size_t(space.dim)),
+        space_(space),
+        second_(std::move(second)),
+        before_last_(std::move(before_last)) {
     for (size_t c = 0; c < inner(); ++c) {
       lower_.insert(lower_.end(), space.lower.begin(), space.lower.end());
       upper_.insert(upper_.end(), space.upper.begin(), space.upper.end());
@@ -108,15 +147,18 @@ class JointCurve final : public MotionCurve {
     for (size_t c = 0; c < inner(); ++c)
       points.emplace_back(x.begin() + long(c * columns()), x.begin() + long((c + 1) * columns()));
     points.push_back(last_);
-    if (!leaving_.empty()) points[1] = projected(x);
+    if (second_.given()) points[1] = second_.projected(first_, x.data());
+    if (before_last_.given()) points[inner()] = before_last_.projected(last_, &x[(inner() - 1) * columns()]);
     return points;
   }
 
   void sample(const Point& x, CurveStates& out) override {
     const size_t n = control_count(), dim = columns();
-    if (!leaving_.empty()) second_ = projected(x), shortest_ = along_ray(x) <= least_;
+    if (second_.given()) second_.place(first_, x.data());
+    if (before_last_.given()) before_last_.place(last_, &x[(n - 3) * dim]);
     const auto control = [&](size_t c) {
-      if (c == 1 && !leaving_.empty()) return static_cast<const double*>(second_.data());
+      if (c == 1 && second_.given()) return second_.point();
+      if (c == n - 2 && before_last_.given()) return before_last_.point();
       return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim];
     };
     std::fill(out.share.begin(), out.share.end(), 1.0);
@@ -157,30 +199,14 @@ class JointCurve final : public MotionCurve {
           out[j] += row.value[m] * d.q[k * dim + j] + row.slope[m] * slope[j] + row.bend[m] * bend[j];
       }
     }
-    if (leaving_.empty()) return;
-    double along = 0;
-    for (size_t j = 0; j < dim; ++j) along += leaving_[j] * gradient[j];
-    for (size_t j = 0; j < dim; ++j) gradient[j] = shortest_ ? 0.0 : along * leaving_[j];
+    if (second_.given()) second_.collect(gradient.data());
+    if (before_last_.given()) before_last_.collect(&gradient[(n - 3) * dim]);
   }
 
  private:
-  double along_ray(const Point& x) const {
-    double along = 0;
-    for (size_t j = 0; j < columns(); ++j) along += leaving_[j] * (x[j] - first_[j]);
-    return along;
-  }
-  Point projected(const Point& x) const {
-    Point second = first_;
-    const double leg = std::max(least_, along_ray(x));
-    for (size_t j = 0; j < columns(); ++j) second[j] += leg * leaving_[j];
-    return second;
-  }
-
   const Space& space_;
-  const Point leaving_;
-  const double least_;
-  Point first_, last_, second_;
-  bool shortest_ = false;  // whether the first leg has its least length
+  ControlOnRay second_, before_last_;
+  Point first_, last_;
 };
 
 }  // namespace gp

@@ -39,6 +39,8 @@ struct MotionSettings {
   double points = 1;                     // number of samples of the motion, for sums over samples
   Point leaving;                         // velocity at the start [rad/s]; empty at rest
   double least_leg = 0;                  // least distance of the second control point from a moving start [rad]
+  Point arriving;                        // velocity at the end [rad/s]; empty at rest
+  double least_last_leg = 0;             // least distance of the last but one control point from a moving end [rad]
 };
 
 inline double size_of(const Point& vector) {
@@ -52,6 +54,11 @@ inline Point unit(Point vector) {
   return vector;
 }
 
+inline Point opposite(Point vector) {
+  for (double& x : vector) x = -x;
+  return vector;
+}
+
 class MotionDescent {
  public:
   // Starts from a path. The space must have state slopes; without a given curve, a JointCurve is used.
@@ -61,9 +68,12 @@ class MotionDescent {
         settings_(settings),
         dim_(size_t(space.dim)),
         curve_(curve ? std::move(curve)
-                     : std::make_unique<JointCurve>(space, settings.controls, settings.density, unit(settings.leaving),
-                                                    settings.least_leg)),
+                     : std::make_unique<JointCurve>(
+                           space, settings.controls, settings.density,
+                           ControlOnRay(unit(settings.leaving), settings.least_leg),
+                           ControlOnRay(opposite(unit(settings.arriving)), settings.least_last_leg))),
         start_speed_(size_of(settings.leaving)),
+        end_speed_(size_of(settings.arriving)),
         profile_(curve_->axis_velocity(settings.velocity), curve_->axis_acceleration(settings.acceleration)),
         felt_(space, settings.felt, settings.slosh),
         push_(settings.push) {
@@ -72,7 +82,7 @@ class MotionDescent {
     qd_.resize(samples * dim_), impact_by_q_ = impact_by_qd_ = by_clearance_ = qd_;
     impact_.resize(samples), density_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
-        stop_.front() = start_speed_ == 0, stop_.back() = 1;
+        stop_.front() = start_speed_ == 0, stop_.back() = end_speed_ == 0;
     if (settings.fitted && path.size() != settings.controls)
       throw std::invalid_argument("control points that are not those of the curve");
     x_ = settings.fitted ? curve_->adopted(path) : curve_->fitted(path);
@@ -115,8 +125,8 @@ class MotionDescent {
   double duration() const { return now_.duration; }
   // The least gap to a moving entity; infinite unless below kPassing.
   double gap() const { return now_.gap; }
-  // Largest feasible speed at a moving start, relative to the present one; infinite at rest.
-  double start_room() const { return now_.start_room; }
+  // Largest feasible speed at a moving start or end, relative to the given one, the smaller of both; infinite at rest.
+  double speed_room() const { return now_.speed_room; }
   // Increases the weight of the clearance penalty.
   void harden() {
     push_ *= 4.0;
@@ -130,7 +140,7 @@ class MotionDescent {
 
  private:
   struct Evaluation {
-    double energy, total, duration, gap, start_room;
+    double energy, total, duration, gap, speed_room;
   };
   static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
   static constexpr double kLongest = 0.3;  // longest step of a control point [rad]
@@ -263,8 +273,9 @@ class MotionDescent {
     const size_t samples = curve_->samples();
     curve_->sample(x, at_);
     CurveSamples curve{samples - 1, curve_->axes(), step_.data(), at_.slope.data(), at_.bend.data(), stop_.data()};
-    const double start = start_squared();
-    const CurveLimits& limits = felt_.enter(space_, at_.q, step_.front(), profile_.enter(curve, start));
+    const double start = squared(start_speed_, at_.slope.data());
+    const double end = kSpeedRoom * squared(end_speed_, last_slope(at_));
+    const CurveLimits& limits = felt_.enter(space_, at_.q, step_.front(), profile_.enter(curve, start, end));
     const std::vector<double>& fastest = profile_.compute(curve, limits, start);
     squared_.resize(samples), speed_.resize(samples), pause_.resize(samples - 1);
     double duration = 0;
@@ -287,8 +298,11 @@ class MotionDescent {
     if (scale_ == 0) scale_ = total;
     const double weight = push_ * scale_ / double(samples);
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
-    const StartPenalty too_fast = leave(start, push_ * scale_);
-    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) + too_fast.value;
+    SpeedPenalty too_fast, too_slow;
+    if (start_speed_ > 0) too_fast = lack(kSpeedRoom * start, profile_.reachable(), push_ * scale_);
+    if (end_speed_ > 0) too_slow = lack(end, fastest.back(), push_ * scale_);
+    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) +
+                           too_fast.value + too_slow.value;
     felt_.back_slosh(squared_, weight, d_squared_, d_pause_);
     if (moves) delay();
     for (size_t k = 0; k + 1 < samples; ++k) {
@@ -302,39 +316,49 @@ class MotionDescent {
       d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
       d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // from now on with respect to the squared largest speed
     }
-    const double d_start =
-        too_fast.by_start + profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()},
-                                          too_fast.by_reachable);
-    if (start_speed_ > 0)  // the squared speed of the parameter is that of the joints, divided by the squared slope
-      for (size_t j = 0; j < curve_->axes(); ++j)
-        d_.slope[j] -= 2 * start * start / (start_speed_ * start_speed_) * at_.slope[j] * d_start;
+    d_speed_.back() += too_slow.by_feasible;
+    const SpeedProfile::EndSlopes d_end = profile_.back(
+        curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()}, too_fast.by_feasible);
+    // The logarithm of `start` has the same derivative as that of kSpeedRoom times it.
+    if (start_speed_ > 0) back_squared(start, too_fast.by_log / start + d_end.start, at_.slope.data(), d_.slope.data());
+    if (end_speed_ > 0) back_squared(end, too_slow.by_log / end + d_end.end, last_slope(at_), last_slope(d_));
     felt_.back(d_.q);
     curve_->collect(d_, gradient);
     const double charge = curve_->charge(x, settings_.time_price, gradient);
     double gap = std::numeric_limits<double>::infinity();
     for (size_t k = 1; moves && k + 1 < samples; ++k) gap = std::min(gap, gap_[k]);
-    const double room =
-        start_speed_ > 0 ? std::sqrt(profile_.reachable() / start) : std::numeric_limits<double>::infinity();
+    double room = std::numeric_limits<double>::infinity();
+    if (start_speed_ > 0) room = std::sqrt(profile_.reachable() / start);
+    if (end_speed_ > 0) room = std::min(room, std::sqrt(kSpeedRoom * fastest.back() / end));
     return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap, room};
   }
 
-  // Squared speed of the parameter at the start.
-  double start_squared() const {
-    if (start_speed_ == 0) return SpeedProfile::kUnbounded;
-    double squared = 0;
-    for (size_t j = 0; j < curve_->axes(); ++j) squared += at_.slope[j] * at_.slope[j];
-    return start_speed_ * start_speed_ / std::max(squared, kSlowest);
+  // Squared speed of the parameter where the joints have a speed, and its derivative by the slopes there.
+  double squared(double speed, const double* slope) const {
+    if (speed == 0) return SpeedProfile::kUnbounded;
+    return speed * speed / std::max(squared_size(slope), kSlowest);
   }
+  void back_squared(double squared, double d_squared, const double* slope, double* d_slope) const {
+    const double size = std::max(squared_size(slope), kSlowest);
+    for (size_t j = 0; j < curve_->axes(); ++j) d_slope[j] -= 2 * squared / size * slope[j] * d_squared;
+  }
+  double squared_size(const double* slope) const {
+    double sum = 0;
+    for (size_t j = 0; j < curve_->axes(); ++j) sum += slope[j] * slope[j];
+    return sum;
+  }
+  const double* last_slope(const CurveStates& of) const { return &of.slope[of.slope.size() - curve_->axes()]; }
+  double* last_slope(CurveStates& of) const { return &of.slope[of.slope.size() - curve_->axes()]; }
 
-  // Penalty for curves that the robot cannot follow from its present speed.
-  struct StartPenalty {
-    double value = 0, by_start = 0, by_reachable = 0;
+  // Penalty for curves that the robot cannot follow with the speed that is given at an end.
+  struct SpeedPenalty {
+    double value = 0, by_log = 0, by_feasible = 0;
   };
-  StartPenalty leave(double start, double weight) const {
-    if (start_speed_ == 0) return {};
-    const double reachable = std::max(profile_.reachable(), kSlowest), lack = std::log(kStartRoom * start / reachable);
+  static SpeedPenalty lack(double wanted, double feasible, double weight) {
+    feasible = std::max(feasible, kSlowest);
+    const double lack = std::log(wanted / feasible);
     if (!(lack > 0)) return {};
-    return {weight * lack * lack, 2 * weight * lack / start, -2 * weight * lack / reachable};
+    return {weight * lack * lack, 2 * weight * lack, -2 * weight * lack / feasible};
   }
 
   // Computes the length of the curve; returns the excess of its energy over the length, which is zero for even samples.
@@ -468,13 +492,13 @@ class MotionDescent {
   static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
   static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;        // lower bound of speeds of the curve parameter [1/s]
-  static constexpr double kStartRoom = 1.1;       // wanted room for the squared speed at a moving start
+  static constexpr double kSpeedRoom = 1.1;       // wanted room for the squared speed at a moving start or end
 
   Space& space_;
   const MotionSettings settings_;
   const size_t dim_;
   const std::unique_ptr<MotionCurve> curve_;
-  const double start_speed_;  // [rad/s]
+  const double start_speed_, end_speed_;  // [rad/s]
   SpeedProfile profile_;
   FeltSamples felt_;
   double push_, scale_ = 0, length_ = 0;

@@ -5,7 +5,7 @@
 // therefore come in levels, from boldest to most careful; if the surface still swings too far at a level, the whole
 // motion is slowed down. The fastest motion of all levels is the result.
 //
-// A motion may begin with a given speed. It cannot be slowed down as a whole then, so the result is that of the first
+// A motion may begin or end with a given speed. It cannot be slowed down as a whole then, so the result is that of the first
 // level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again with limits
 // that are as much tighter.
 #pragma once
@@ -38,17 +38,14 @@ class CurveTiming {
   };
 
   // Times a curve through `q`, with further limits on each interval [n, further, 3], at a share of the speed. Unless
-  // the curve stops at its beginning, the motion starts with a velocity of size `start`.
+  // the curve stops at its beginning (end), the motion starts (ends) with a velocity of size `start` (`end`).
   bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed,
-           double start) {
-    start_ = SpeedProfile::kUnbounded;
-    if (!curve.stop[0] && std::isfinite(start)) {
-      double size = 0;
-      for (size_t j = 0; j < curve.dim; ++j) size += curve.slope[j] * curve.slope[j];
-      start_ = start * start / (speed * speed * std::max(size, kLeastSlope));
-    }
+           double start, double end) {
+    start_ = curve.stop[0] ? SpeedProfile::kUnbounded : squared(start / speed, curve.slope, curve.dim);
+    const double* last = curve.slope + (2 * curve.n - 1) * curve.dim;
+    end_ = curve.stop[curve.n] ? SpeedProfile::kUnbounded : squared(end / speed, last, curve.dim);
     move(curve, q);
-    if (moving()) return run_from_speed(curve, q, {limit, further}, speed);
+    if (moving()) return run_with_speeds(curve, q, {limit, further}, speed);
     const std::vector<Box>& box = profile_.enter(curve);
     bool found = false;
     for (const Level& level : levels_) {
@@ -79,11 +76,19 @@ class CurveTiming {
   static constexpr double kSlowdown = 1.01;   // factor of each slowdown
   static constexpr int kMostSlowdowns = 310;  // most of them: a factor of 22 in all
   static constexpr double kLeastSlope = 1e-12;
-  static constexpr int kRetimings = 5;             // of a motion with a given start, for limits between samples
+  static constexpr int kRetimings = 5;             // of a motion with a given speed, for limits between samples
   static constexpr double kRetimingRoom = 1.2;     // factor on the excess from one of them to the next
-  static constexpr double kStartTolerance = 1e-9;  // relative excess of the given squared speed over the feasible one
+  static constexpr double kSpeedTolerance = 1e-9;  // relative excess of a given squared speed over the feasible one
 
-  bool moving() const { return start_ < SpeedProfile::kUnbounded; }
+  // Whether the motion begins or ends with a given speed.
+  bool moving() const { return std::min(start_, end_) < SpeedProfile::kUnbounded; }
+  // Squared speed of the parameter for a velocity of a given size.
+  static double squared(double size, const double* slope, size_t dim) {
+    if (!std::isfinite(size)) return SpeedProfile::kUnbounded;
+    double length = 0;
+    for (size_t j = 0; j < dim; ++j) length += slope[j] * slope[j];
+    return size * size / std::max(length, kLeastSlope);
+  }
 
   struct Further {
     const double* row;
@@ -140,7 +145,10 @@ class CurveTiming {
     for (size_t l = 0; l < level.size(); ++l)
       if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
     squared_ = profile_.compute(curve, rows_, start_);
-    if (moving() && profile_.reachable() < start_ * (1 - kStartTolerance)) return trouble_ = {-1, 0, true}, false;
+    if (start_ < SpeedProfile::kUnbounded && profile_.reachable() < start_ * (1 - kSpeedTolerance))
+      return trouble_ = {-1, 0, true}, false;
+    if (end_ < SpeedProfile::kUnbounded && squared_[n] < end_ * (1 - kSpeedTolerance))
+      return trouble_ = {-1, n, true}, false;
     speed_.resize(n + 1);
     for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
     size_t halted = 0;
@@ -153,13 +161,14 @@ class CurveTiming {
     return true;
   }
 
-  // Times a motion that begins with a speed, with tighter limits as long as it exceeds the given ones between samples.
-  bool run_from_speed(const CurveSamples& curve, const double* q, const Further& further, double speed) {
+  // Times a motion that begins or ends with a speed, with tighter limits as long as it exceeds the given ones between
+  // samples.
+  bool run_with_speeds(const CurveSamples& curve, const double* q, const Further& further, double speed) {
     Excess tighter;
     for (int tried = 0; tried < kRetimings; ++tried) {
       profile_ = SpeedProfile(divided(velocity_, tighter.velocity),
                               divided(acceleration_, tighter.acceleration * tighter.acceleration));
-      const std::vector<Box>& box = profile_.enter(curve, start_);
+      const std::vector<Box>& box = profile_.enter(curve, start_, end_);
       for (const Level& level : levels_) {
         trouble_ = {};
         if (!time(curve, q, level, further, box, speed)) return false;
@@ -211,7 +220,7 @@ class CurveTiming {
   std::vector<double> poses_, rests_, squared_, speed_, best_speed_;
   std::vector<std::vector<FeltMotion>> felt_;
   std::vector<VesselMotion> vessel_;
-  double stretched_ = 1, start_ = SpeedProfile::kUnbounded;
+  double stretched_ = 1, start_ = SpeedProfile::kUnbounded, end_ = SpeedProfile::kUnbounded;
   Travel now_, best_;
   Excess excess_;
   Trouble trouble_;

@@ -101,8 +101,9 @@ class SpeedProfile {
   static constexpr double kStartRoom = 1.2;   // bound of the squared speed at a moving start, relative to the given one
 
   // Takes a curve and returns the joints' bounds on each interval. Without a stop at the beginning, `start` is the
-  // squared speed there. A robot cannot choose its present velocity, so the velocity limits do not apply to it.
-  const std::vector<Box>& enter(const CurveSamples& curve, double start = kUnbounded) {
+  // squared speed there, and without one at the end, `end` is the largest squared speed there. These speeds are given,
+  // so the velocity limits do not apply to them.
+  const std::vector<Box>& enter(const CurveSamples& curve, double start = kUnbounded, double end = kUnbounded) {
     const size_t n = curve.n;
     joint_rows_ = 2 * curve.dim * n;
     A_.resize(joint_rows_), reach_.resize(joint_rows_), tilt_.resize(joint_rows_), box_.resize(n);
@@ -111,6 +112,7 @@ class SpeedProfile {
     for (size_t i = 0; i <= n; ++i)
       if (curve.stop[i]) cap_[i] = 0, cap_bound_[i] = {};
     if (!curve.stop[0] && start < kUnbounded) cap_[0] = kStartRoom * start, cap_bound_[0] = {};
+    if (!curve.stop[n] && end < kUnbounded) cap_[n] = end, cap_bound_[n] = {};
     for (size_t i = 0; i < n; ++i) {
       double push = kUnbounded;
       for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r)
@@ -135,10 +137,14 @@ class SpeedProfile {
   // The largest squared speed at the beginning from which the end can be reached; at most kStartRoom times the given.
   double reachable() const { return beta_[0]; }
 
-  // Maps derivatives `d_x` with respect to the squared speeds of the last compute(), and `d_reachable`, to the curve
-  // and the limits. Returns the derivative with respect to the given squared speed at the beginning.
-  double back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out,
-              double d_reachable = 0) {
+  // Derivatives with respect to the given squared speeds at the beginning and at the end.
+  struct EndSlopes {
+    double start, end;
+  };
+  // Maps derivatives `d_x` with respect to the squared speeds of the last compute(), and `d_reachable`, to the curve,
+  // the limits and the given squared speeds.
+  EndSlopes back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out,
+                 double d_reachable = 0) {
     const size_t n = curve.n;
     d_beta_.assign(n + 1, 0.0), d_reach_.assign(A_.size(), 0.0), d_tilt_.assign(A_.size(), 0.0);
     for (size_t i = n; i-- > 0;) {
@@ -161,7 +167,7 @@ class SpeedProfile {
       out.limit[k].a += by_a(r), out.limit[k].b += d_tilt_[r] / A_[r];
       out.limit[k].c += d_reach_[r] / std::abs(A_[r]);
     }
-    return given ? d_x[0] : 0.0;
+    return {given ? d_x[0] : 0.0, d_beta_[n]};
   }
 
  private:
