@@ -11,6 +11,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from graceful_plan.mobile.floor.generated import floor_plan
 from graceful_plan.query.endpoints.goals import Goal
 
 TITLE = "Takeovers: motions from a robot that moves"
@@ -19,7 +20,7 @@ QUESTION = (
 )
 HEADLINE = "takeovers with a velocity step"
 DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/replanning.py")
-COUNT = 1000
+COUNT, BASE_COUNT = 1000, 120
 TASKS = (
     "tabletop/lift_to_goal",
     "tabletop/green_to_blue",
@@ -30,8 +31,11 @@ TASKS = (
 )
 SPEEDS = (1.0, 0.5)
 """Fractions of the velocity limits at which the motions that are left were planned."""
-ITERATIONS = 15
+ITERATIONS, BASE_ITERATIONS = 15, 60
 """Planner iterations of each plan, so that the load of the machine does not matter."""
+FLOORS = range(6)
+"""Seeds of the generated floor plans that the Jackal crosses."""
+BASE = "base (Jackal)"
 STEP = 0.01
 """Largest accepted step of a velocity, relative to its limit."""
 MEASURED = f"""\
@@ -42,6 +46,10 @@ are left at random moments for the start or the goal of another task with the sa
 joined with the motion before it for contents; stop and plan counts as solved only if its contents stay in, too.
 "Speed left at" is the largest joint speed at the takeover, relative to its limit. Calls share the computer with those
 of other processes.
+
+The Jackal crosses {len(FLOORS)} generated floor plans (two rooms, 8 entities), and leaves its motion for the start or the
+goal of that motion, in turn; each plan has {BASE_ITERATIONS} iterations. Rolling and the limits of its drive count as
+limits.
 """
 _DT = 1e-3
 _TOLERANCE = 1e-6
@@ -70,6 +78,8 @@ def run(options: suite.Options) -> str:
     """Measure takeovers, in turn of each task and speed."""
     seeds = range(options.pick(COUNT, quick=len(TASKS) * len(SPEEDS)))
     found = list(suite.spread(takeover, seeds, options.processes, "takeovers"))
+    seeds = range(options.pick(BASE_COUNT, quick=len(FLOORS)))
+    found += suite.spread(base_takeover, seeds, options.processes, "takeovers of a base")
     return f"{report.targets(targets(found))}\n{MEASURED}\n{table(found)}"
 
 
@@ -91,7 +101,7 @@ def table(found: Sequence[Takeover]) -> str:
     """Return shares and durations by kind of object and speed of the motion that is left."""
     rows = []
     for speed in SPEEDS:
-        for kind, prefix in (("block", "tabletop/"), ("book", "desk/put"), ("cup", "desk/lift")):
+        for kind, prefix in (("block", "tabletop/"), ("book", "desk/put"), ("cup", "desk/lift"), (BASE, "floor/")):
             mine = [one for one in found if one.speed == speed and one.task.startswith(prefix)]
             if not mine:
                 continue
@@ -111,7 +121,6 @@ def table(found: Sequence[Takeover]) -> str:
                     f"{ms.max():.0f}",
                 )
             )
-    rows.append(("base (Jackal)", "", "", "refused by name", "", "", "", "", ""))
     heads = ("object", "speed", "n", "solved", "stop and plan", "duration, over stop and plan", "speed left at")
     return report.table((*heads, "call [ms]", "most"), rows)
 
@@ -120,6 +129,13 @@ def table(found: Sequence[Takeover]) -> str:
 def _motion(name: str, speed: float) -> gp.Trajectory:
     task = suite.task(name)
     return gp.plan(task.start, task.goal, task.scene, speed=speed, iterations=100).unwrap()
+
+
+@cache
+def _drive(floor: int) -> tuple[gp.Scene, gp.Trajectory]:
+    made = floor_plan(floor, rooms=(2, 1), people=8)
+    scene = made.floor.to_scene("jackal")
+    return scene, gp.plan(made.start, gp.BasePose(*made.goal[:2]), scene, iterations=300).unwrap()
 
 
 def _goals(name: str) -> list[Goal]:
@@ -137,9 +153,36 @@ def takeover(seed: int) -> Takeover:
     motion, scene, rng = _motion(name, speed), suite.task(name).scene, np.random.default_rng(seed)
     at = float(rng.uniform(0.02, 0.98)) * motion.duration
     goals = _goals(name)
-    goal, state = goals[rng.integers(len(goals))], motion.at(at)
+    goal = goals[rng.integers(len(goals))]
+    return _measured(Case(name, scene, motion, goal, speed, ITERATIONS), at, seed)
+
+
+def base_takeover(seed: int) -> Takeover:
+    """Return one random takeover of a Jackal; seeds go through floor plans, then goals, in turn."""
+    floor = FLOORS[seed % len(FLOORS)]
+    scene, motion = _drive(floor)
+    back = seed // len(FLOORS) % 2 == 0
+    at = float(np.random.default_rng(seed).uniform(0.02, 0.98)) * motion.duration
+    case = Case(f"floor/{floor}", scene, motion, motion.q[0 if back else -1], 1.0, BASE_ITERATIONS)
+    return _measured(case, at, seed)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A motion that is left for a goal; `speed` is the one that it was planned with."""
+
+    task: str
+    scene: gp.Scene
+    motion: gp.Trajectory
+    goal: Goal
+    speed: float
+    iterations: int
+
+
+def _measured(case: Case, at: float, seed: int) -> Takeover:
+    scene, motion, state = case.scene, case.motion, case.motion.at(at)
     began = time.perf_counter()
-    result = gp.replan(motion, scene, at=at, goal=goal, iterations=ITERATIONS, seed=seed)
+    result = gp.replan(motion, scene, at=at, goal=case.goal, iterations=case.iterations, seed=seed)
     seconds = time.perf_counter() - began
     solved, trajectory = result.status is gp.PlanStatus.SOLVED, result.trajectory
     step, duration = 0.0, np.nan
@@ -147,16 +190,16 @@ def takeover(seed: int) -> Takeover:
     if trajectory is not None:
         step = float((np.abs(trajectory.qd[0] - state.qd) / scene.limits.velocity).max())
         duration = trajectory.duration
-        beyond = _beyond(trajectory, scene)
         exact = gp.verify(trajectory, scene, start=state, before=motion)
+        beyond = _beyond(trajectory, scene) or not {"rolling", "drive_limits"}.isdisjoint(exact.failures)
         collides, spills = "collision" in exact.failures, "contents" in exact.failures
     return Takeover(
-        task=name,
-        speed=speed,
+        task=case.task,
+        speed=case.speed,
         share=float((np.abs(state.qd) / scene.limits.velocity).max()),
         solved=solved,
         duration=duration,
-        stopped_duration=_stopped(motion, scene, at, goal, seed),
+        stopped_duration=_stopped(case, at, seed),
         step=step,
         beyond=beyond,
         collides=collides,
@@ -165,12 +208,13 @@ def takeover(seed: int) -> Takeover:
     )
 
 
-def _stopped(motion: gp.Trajectory, scene: gp.Scene, at: float, goal: Goal, seed: int) -> float:
+def _stopped(case: Case, at: float, seed: int) -> float:
     """Return the duration of a stop and a plan from its end [s]; NaN if one of them fails."""
+    scene, motion = case.scene, case.motion
     stop = gp.plan_stop(motion, scene, at=at).trajectory
     if stop is None:
         return np.nan
-    onward = gp.plan(stop.q[-1], goal, scene, iterations=ITERATIONS, seed=seed).trajectory
+    onward = gp.plan(stop.q[-1], case.goal, scene, iterations=case.iterations, seed=seed).trajectory
     if onward is None:
         return np.nan
     onward = onward.later(float(stop.t[-1]))

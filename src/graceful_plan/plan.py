@@ -38,6 +38,7 @@ from graceful_plan.query.arguments import (
 )
 from graceful_plan.query.base_planning import base_planning
 from graceful_plan.query.candidates.candidates import motions_to_verify
+from graceful_plan.query.candidates.departure import at_time
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
@@ -56,6 +57,9 @@ from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.trajectory import State
 
 Array = np.ndarray
+
+_PASSING_SHARE = 0.2
+"""Share of the remaining time in which a moving base goes over from its present arc to the motion found."""
 
 
 def plan(
@@ -177,19 +181,34 @@ def plan(
     if isinstance(aimed, PlanResult):
         return _with_times(aimed, ready.total, started)
     goal, run_in = aimed
+    settings = {"planner": planner, "objective": bound.objective, "refine": refine, "seed": seed}
+    leg = partial(
+        plan,
+        constraints=asked.constraints,
+        speed=share,
+        risk=measure,
+        verification=verification,
+        cancelled=budget.cancelled,
+        **settings,
+    )
     if passed:
-        settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
-        leg = partial(
-            plan,
-            constraints=asked.constraints,
-            speed=share,
-            risk=measure,
-            verification=verification,
-            cancelled=budget.cancelled,
-            **settings,
-        )
-        result = real.completed(plan_through((real.q, passed, goal), leg, request, budget, seed), request)
+        through = plan_through((real.q, passed, goal), partial(leg, stop=stop), request, budget, seed)
+        result = real.completed(through, request)
         return _with_stops(result, asked, budget) if also_stops else result
+    if real.passes and real.first is not None:
+        seconds = budget.remaining_seconds
+        onward = leg(
+            real.q,
+            goal,
+            at_time(scene, real.first.duration),
+            stop=request.stop,
+            time_limit=None if np.isinf(seconds) else (1.0 - _PASSING_SHARE) * seconds,
+            iterations=iterations,
+            candidates=request.candidates,
+            callback=callback,
+        )
+        result = real.completed(onward, request)
+        return _with_times(_with_stops(result, asked, budget) if also_stops else result, ready.total, started)
     try:
         ends = find_endpoints(
             real.q, goal, asked, rng, objective=bound, seed=seed, cancelled=budget.cancelled, late=budget.is_late

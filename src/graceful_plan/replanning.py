@@ -18,14 +18,15 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
 from graceful_plan.path import Path, finite_array, is_real
 from graceful_plan.plan import plan
-from graceful_plan.planners.motion_descent import time_price
-from graceful_plan.query.arguments import check_no_base, checked_objective, checked_speed
+from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, time_price
+from graceful_plan.query.arguments import checked_objective, checked_speed
 from graceful_plan.query.candidates.departure import at_time
 from graceful_plan.query.endpoints.configurations import configurations_of, wrapped_near
 from graceful_plan.query.endpoints.goals import Goal, has_poses
 from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.stop import quickest_stop, surely_collides
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
+from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.trajectory import REST, State, Trajectory
@@ -83,14 +84,14 @@ def replan(
         Every trajectory begins at `at`: `motion.spliced(result.trajectory)` is the motion to execute from then on.
 
     Raises:
-        GracefulPlanError: For misuse, as by `plan`, and for robots with a mobile base.
+        GracefulPlanError: For misuse, as by `plan`.
     """
     started = time.perf_counter()
     if not isinstance(motion, Trajectory):
         raise SettingError("motion", motion, "a Trajectory")
     if not is_real(at) or not np.isfinite(at):
         raise SettingError("at", at, "a finite time [s]")
-    check_no_base(checked_scene(scene), "replan()")
+    checked_scene(scene)
     limit = TIME_LIMIT if time_limit is None and iterations is None else time_limit
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
@@ -126,6 +127,7 @@ def replan(
     found = replace(found, stats={**found.stats, "total_time": time.perf_counter() - started})
     if kept.passed and leads:
         price = time_price(careful=SceneConstraints(scene, asked).level)
+        price = price if scene.base is None else DRIVING_TIME_PRICE
         cost = bound.breakdown(rest)
         if cost.total + price * rest.duration <= _ranking(found, price):
             kept_on = replace(found, status=PlanStatus.SOLVED, cost=cost, goal_index=0)
@@ -152,6 +154,9 @@ def _is_at(q: Float[Array, " nq"], goal: Goal, scene: Scene) -> bool:
     if isinstance(goal, PoseGoal):
         position, orientation = pose_error(goal, compile_scene(scene).kernels.tool_pose(q))
         return position <= goal.position_tolerance and orientation <= goal.orientation_tolerance
+    if isinstance(goal, BasePose):
+        turn = 0.0 if goal.yaw is None else np.remainder(goal.yaw - q[2] + np.pi, 2.0 * np.pi) - np.pi
+        return bool(max(abs(goal.x - q[0]), abs(goal.y - q[1]), abs(turn)) <= LIMIT_TOLERANCE)
     if has_poses(goal):
         return any(_is_at(q, one, scene) for one in goal)  # type: ignore[union-attr, arg-type]
     away = wrapped_near(configurations_of(goal, scene), q, scene) - q  # type: ignore[arg-type]

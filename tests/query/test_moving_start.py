@@ -12,9 +12,8 @@ from planned_tasks import planned
 
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
-from graceful_plan.exceptions import NonFiniteError, RetimingError, SettingError, ShapeError, UnsupportedError
+from graceful_plan.exceptions import NonFiniteError, RetimingError, SettingError, ShapeError
 from graceful_plan.query.endpoints.moving_start import find_start
-from jackals import jackal
 
 COUNT = 8
 
@@ -136,13 +135,6 @@ def test_misuse_raises(block: tuple[gp.Task, gp.Trajectory]) -> None:
         gp.plan(block[1].at(np.array([0.1, 0.2])), task.goal, task.scene)
     with pytest.raises(ShapeError, match=r"start\.qd"):
         gp.verify(block[1], task.scene, start=gp.State(q, still[:5]))
-
-
-def test_a_robot_that_drives_stops_first() -> None:
-    scene = jackal()
-    moving = gp.State(np.zeros(3), np.array([0.3, 0.0, 0.0]))
-    with pytest.raises(UnsupportedError, match="moving start"):
-        gp.plan(moving, [1.0, 0.0, 0.0], scene, iterations=5)
 
 
 def test_a_moving_robot_cannot_wait(block: tuple[gp.Task, gp.Trajectory]) -> None:

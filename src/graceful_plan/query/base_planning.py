@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -16,6 +17,7 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import PlanResult
 from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import State, Trajectory
 
 
 class BasePlanning(ABC):
@@ -45,6 +47,25 @@ class BasePlanning(ABC):
             ends: Both ends.
             problem: Problem to search.
             rng: Random numbers.
+        """
+
+    @abstractmethod
+    def impossible_velocity(self, state: State, scene: Scene, speed: float) -> str:
+        """Return why the robot cannot move like this within a fraction of its limits; empty if it can."""
+
+    @abstractmethod
+    def stops(self, state: State, held: SceneConstraints, speed: float) -> Iterator[Trajectory]:
+        """Yield stops of a moving robot within a fraction of its velocity limits, the quickest first."""
+
+    @abstractmethod
+    def passing(self, stop: Trajectory, onward: Trajectory, whole: Trajectory, request: Request) -> list[Trajectory]:
+        """Return motions that go over from the path of a stop to a motion from its end without a rest.
+
+        Args:
+            stop: The stop.
+            onward: The motion from its end.
+            whole: Both one after the other, with a rest between them.
+            request: The request; only motions of less cost than `whole` are returned, the cheapest first.
         """
 
 

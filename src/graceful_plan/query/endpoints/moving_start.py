@@ -4,11 +4,14 @@ The path begins with a straight lead-in along the velocity, long enough to stop 
 Timing begins with the present speed, so a motion along that path may stop there at worst. Descents keep only the
 direction of the lead-in; their curves turn away as early as the limits allow. Where a straight lead-in is blocked, it
 is the path of another stop.
+
+Planning for a mobile base begins where it can stop on its present arc; see `BasePlanning.passing` for how the motion
+goes on without a rest there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +19,10 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.verification import verify
 from graceful_plan.path import finite_array
+from graceful_plan.query.base_planning import BasePlanning, base_planning
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import start_configuration
 from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
@@ -26,7 +30,7 @@ from graceful_plan.query.endpoints.real_start import RealStart, real_start, with
 from graceful_plan.query.endpoints.stopping import path_along, stops_from, too_fast, within_limits
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.trajectory import REST, State
+from graceful_plan.timing.trajectory import REST, State, Trajectory
 
 Array = np.ndarray
 
@@ -53,8 +57,7 @@ def find_start(
         stops: Whether the motion stops before it goes on, without a lead-in.
 
     Raises:
-        GracefulPlanError: For wrong shapes, NaN and unknown names, for a moving robot with a base, and for a moving
-            robot that shall wait.
+        GracefulPlanError: For wrong shapes, NaN and unknown names, and for a moving robot that shall wait.
     """
     scene = constraints.scene
     takeover = start if isinstance(start, Takeover) else None
@@ -64,13 +67,13 @@ def find_start(
     if np.abs(velocity).max() <= REST:
         real = real_start(q, constraints, tolerance, speed)
         return replace(real, takeover=None if takeover is None else takeover.without_turns(real.turns)), None
-    if scene.base is not None:
-        raise UnsupportedError("a moving start does not support mobile bases; stop first, then plan from rest")
     if max_wait:
         raise SettingError("max_wait", max_wait, "0 for a robot that moves: it cannot wait")
-    possible = within_limits(velocity, speed, scene)
-    if possible is None:
-        return PlanResult(status=PlanStatus.INVALID_START, detail=too_fast("start", velocity, speed, scene))
+    driving, possible = base_planning(scene), within_limits(velocity, speed, scene)
+    why = "" if driving is None else driving.impossible_velocity(State(q, velocity), scene, speed)
+    if why or possible is None:
+        told = why or too_fast("start", velocity, speed, scene)
+        return PlanResult(status=PlanStatus.INVALID_START, detail=told)
     q, turns = without_turns(q, scene)
     takeover = None if takeover is None else takeover.without_turns(turns)
     return _stoppable(State(q, possible), turns, constraints, speed, takeover, late=late, stops=stops)
@@ -93,11 +96,14 @@ def _stoppable(
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
     """Return the lead-in by the first stop that the judge passes, or with `stops` that stop; else why there is none."""
-    scene = constraints.scene
+    scene, driving = constraints.scene, base_planning(constraints.scene)
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
-    why = ""
-    for stop, is_straight in stops_from(state, held, speed, late, takeover):
+    kind, why = "straight stop" if driving is None else "stop on the present arc", ""
+    tried = stops_from(state, held, speed, late, takeover)
+    if driving is not None:
+        tried = _driving_stops(driving, state, held, speed, takeover)
+    for stop, is_straight in tried:
         if late():
             return PlanResult(status=PlanStatus.TIMEOUT, detail="start: the robot moves, and no stop was found in time")
         verdict = verify(
@@ -110,10 +116,20 @@ def _stoppable(
         )
         if not verdict.passed:
             problems = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
-            why = why or f"the straight stop takes {stop.duration:.3g} s; {problems}"
+            why = why or f"the {kind} takes {stop.duration:.3g} s; {problems}"
             continue
-        if not stops:
+        if driving is None and not stops:
             path, is_clear = path_along(stop, state.qd, held, is_straight=is_straight)
             return RealStart(stop.q[-1], turns, takeover=takeover), LeadIn(state.qd, path, is_clear, stop)
-        return RealStart(stop.q[-1], turns, stop, note="it stops first", takeover=takeover), None
+        note = "it stops first" if stops else ""
+        return RealStart(stop.q[-1], turns, stop, note=note, takeover=takeover, passes=not stops), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
+
+
+def _driving_stops(
+    driving: BasePlanning, state: State, held: SceneConstraints, speed: float, takeover: Takeover | None
+) -> Iterator[tuple[Trajectory, bool]]:
+    """Yield stops of a base on its present arc, then one along its former motion; they count as not straight."""
+    yield from ((stop, False) for stop in driving.stops(state, held, speed))
+    if takeover is not None and (along := takeover.stop()) is not None:
+        yield along, False

@@ -18,6 +18,7 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.exact import state_contacts
 from graceful_plan.judge.verification import GRAZING_SHARE, VerificationSettings, verify
 from graceful_plan.path import Path
+from graceful_plan.query.base_planning import base_planning
 from graceful_plan.query.endpoints.escape import ascend
 from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.endpoints.usable import CLAMPED
@@ -52,6 +53,8 @@ class RealStart:
     note: str = ""
     takeover: Takeover | None = None
     """The motion that the robot leaves, less these turns; None if it is not known."""
+    passes: bool = False
+    """Whether `first` is the stop of a moving base, at whose end the motion need not rest."""
 
     def completed(self, result: PlanResult, request: Request) -> PlanResult:
         """Return the result, and its candidates, with the first piece and the whole turns."""
@@ -72,9 +75,18 @@ class RealStart:
 
     def _with_first(self, result: PlanResult, request: Request) -> PlanResult:
         assert self.first is not None and result.trajectory is not None and result.path is not None
-        scene, looks = request.objective.scene, request.verification or VerificationSettings()
         whole = one_after_the_other([self.first, result.trajectory])
+        if self.passes and (driving := base_planning(request.objective.scene)) is not None:
+            for motion in driving.passing(self.first, result.trajectory, whole, request):
+                found = self._judged(motion, motion.path, result, request)
+                if found.status is PlanStatus.SOLVED:
+                    return found
         path = Path(np.concatenate([self.first.q[:1], result.path.q])).without_duplicates()
+        return self._judged(whole, path, result, request)
+
+    def _judged(self, whole: Trajectory, path: Path, result: PlanResult, request: Request) -> PlanResult:
+        assert self.first is not None
+        scene, looks = request.objective.scene, request.verification or VerificationSettings()
         verdict = verify(
             whole,
             scene,
