@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +32,10 @@ TASKS = (
 )
 SPEEDS = (1.0, 0.5)
 """Fractions of the velocity limits at which the motions that are left were planned."""
-ITERATIONS, BASE_ITERATIONS = 15, 60
+ITERATIONS = 15
 """Planner iterations of each plan, so that the load of the machine does not matter."""
+BASE_SECONDS = 0.5
+"""Time limit of each plan for a base [s]; a round of its planner takes longer than one iteration of the others."""
 FLOORS = range(6)
 """Seeds of the generated floor plans that the Jackal crosses."""
 BASE = "base (Jackal)"
@@ -47,9 +50,8 @@ joined with the motion before it for contents; stop and plan counts as solved on
 "Speed left at" is the largest joint speed at the takeover, relative to its limit. Calls share the computer with those
 of other processes.
 
-The Jackal crosses {len(FLOORS)} generated floor plans (two rooms, 8 entities), and leaves its motion for the start or the
-goal of that motion, in turn; each plan has {BASE_ITERATIONS} iterations. Rolling and the limits of its drive count as
-limits.
+The Jackal crosses {len(FLOORS)} generated floor plans (two rooms, 8 entities), and leaves its motion for the start or
+the goal of that motion, in turn; each plan has {BASE_SECONDS} s. Rolling and the limits of its drive count as limits.
 """
 _DT = 1e-3
 _TOLERANCE = 1e-6
@@ -135,7 +137,7 @@ def _motion(name: str, speed: float) -> gp.Trajectory:
 def _drive(floor: int) -> tuple[gp.Scene, gp.Trajectory]:
     made = floor_plan(floor, rooms=(2, 1), people=8)
     scene = made.floor.to_scene("jackal")
-    return scene, gp.plan(made.start, gp.BasePose(*made.goal[:2]), scene, iterations=300).unwrap()
+    return scene, gp.plan(made.start, gp.BasePose(*made.goal[:2]), scene, time_limit=2.0).unwrap()
 
 
 def _goals(name: str) -> list[Goal]:
@@ -154,7 +156,7 @@ def takeover(seed: int) -> Takeover:
     at = float(rng.uniform(0.02, 0.98)) * motion.duration
     goals = _goals(name)
     goal = goals[rng.integers(len(goals))]
-    return _measured(Case(name, scene, motion, goal, speed, ITERATIONS), at, seed)
+    return _measured(Case(name, scene, motion, goal, speed, {"iterations": ITERATIONS}), at, seed)
 
 
 def base_takeover(seed: int) -> Takeover:
@@ -163,26 +165,26 @@ def base_takeover(seed: int) -> Takeover:
     scene, motion = _drive(floor)
     back = seed // len(FLOORS) % 2 == 0
     at = float(np.random.default_rng(seed).uniform(0.02, 0.98)) * motion.duration
-    case = Case(f"floor/{floor}", scene, motion, motion.q[0 if back else -1], 1.0, BASE_ITERATIONS)
+    case = Case(f"floor/{floor}", scene, motion, motion.q[0 if back else -1], 1.0, {"time_limit": BASE_SECONDS})
     return _measured(case, at, seed)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A motion that is left for a goal; `speed` is the one that it was planned with."""
+    """A motion that is left for a goal; `speed` is the one that it was planned with, `budget` that of a plan."""
 
     task: str
     scene: gp.Scene
     motion: gp.Trajectory
     goal: Goal
     speed: float
-    iterations: int
+    budget: dict[str, Any]
 
 
 def _measured(case: Case, at: float, seed: int) -> Takeover:
     scene, motion, state = case.scene, case.motion, case.motion.at(at)
     began = time.perf_counter()
-    result = gp.replan(motion, scene, at=at, goal=case.goal, iterations=case.iterations, seed=seed)
+    result = gp.replan(motion, scene, at=at, goal=case.goal, seed=seed, **case.budget)
     seconds = time.perf_counter() - began
     solved, trajectory = result.status is gp.PlanStatus.SOLVED, result.trajectory
     step, duration = 0.0, np.nan
@@ -214,7 +216,7 @@ def _stopped(case: Case, at: float, seed: int) -> float:
     stop = gp.plan_stop(motion, scene, at=at).trajectory
     if stop is None:
         return np.nan
-    onward = gp.plan(stop.q[-1], case.goal, scene, iterations=case.iterations, seed=seed).trajectory
+    onward = gp.plan(stop.q[-1], case.goal, scene, seed=seed, **case.budget).trajectory
     if onward is None:
         return np.nan
     onward = onward.later(float(stop.t[-1]))

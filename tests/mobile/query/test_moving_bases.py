@@ -79,8 +79,9 @@ def test_stops_follow_the_arc(v: float, turn: float) -> None:
     """Closed form: the speed falls evenly, and the path is a circle of radius v over the turning rate."""
     scene, state = jackal((9.0, 9.0)), moving(v, turn)
     assert scene.base is not None
-    (stop,) = arc_stops(state, SceneConstraints(scene, ()), 1.0)
-    assert gp.verify(stop, scene, start=state).passed
+    stop, straighter = arc_stops(state, SceneConstraints(scene, ()), 1.0)
+    assert gp.verify(stop, scene, start=state).passed and gp.verify(straighter, scene, start=state).passed
+    assert abs(straighter.q[-1, 2] - state.q[2]) <= abs(stop.q[-1, 2] - state.q[2]) + 1e-12
     seconds = max(abs(v) / scene.base.a_max, abs(turn) / scene.base.alpha_max)
     assert stop.duration == pytest.approx(seconds, rel=0.02)
     turned = 0.5 * turn * stop.duration
@@ -111,6 +112,16 @@ def test_towards_an_obstacle_nearer_than_its_braking_distance_is_no_start() -> N
     assert near.status is gp.PlanStatus.INVALID_START and "child0" in near.detail and "takes 1.28 s" in near.detail
     far = gp.plan(moving(1.9, x=-1.0, yaw=0.0), gp.BasePose(0.0, 3.0), scene, w=0.0, iterations=60)
     assert_continues(far.unwrap(), moving(1.9, x=-1.0, yaw=0.0), scene)
+
+
+def test_with_a_moving_arm_the_base_goes_on_and_the_arm_keeps_its_velocity_at_the_start() -> None:
+    """A Fetch with a bottle; the shoulder turns."""
+    task = gp.load_scene("hallway").tasks["carry_bottle"]
+    scene, qd = task.scene.without_moving(), np.zeros(11)
+    qd[[0, 2, 4]] = 0.6, 0.05, 0.2
+    state = gp.State(np.asarray(task.start), qd)
+    trajectory = gp.plan(state, gp.BasePose(3.0, 0.1), scene, w=0.0, iterations=20, stop="first").unwrap()
+    assert_continues(trajectory, state, scene)
 
 
 def test_among_pedestrians_the_onward_motion_meets_them_where_they_are_by_then() -> None:

@@ -1,4 +1,4 @@
-"""Stops of a moving base along its present arc, and the limits on its velocity."""
+"""Stops of a moving base along its present arc or nearly straight, and the limits on its velocity."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.drive_checks import SIDEWAYS
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.trajectory import REST, State, Trajectory
+from graceful_plan.timing.trajectory import State, Trajectory
 
 Array = np.ndarray
 
@@ -25,6 +26,8 @@ _TOLERANCE = 1e-2
 """Largest relative excess of a velocity over a limit of the base, as between the samples of its motions."""
 _APART = 1e-6
 """Least time between two samples [s]."""
+_NODES, _WEIGHTS = (0.5 * part for part in np.polynomial.legendre.leggauss(4))
+_NODES = _NODES + 0.5
 
 
 def speed_and_turn(state: State) -> tuple[float, float, float]:
@@ -55,7 +58,9 @@ def impossible_velocity(state: State, scene: Scene, speed: float) -> str:
 
 
 def arc_stops(state: State, held: SceneConstraints, speed: float) -> Iterator[Trajectory]:
-    """Yield stops of a moving base with constant curvature, the hardest one first; joints of the arm brake evenly.
+    """Yield stops of a moving base: with constant curvature, then with turning and driving braked separately.
+
+    Joints of the arm brake evenly. With a carried object whose specific force is limited, gentler stops follow.
 
     Args:
         state: Position and velocity.
@@ -63,35 +68,40 @@ def arc_stops(state: State, held: SceneConstraints, speed: float) -> Iterator[Tr
         speed: Fraction of the velocity limits to use; accelerations are limited to its square.
     """
     for share in _GENTLER if held.felt else _GENTLER[:1]:
-        yield _arc_stop(state, held.scene, share * speed**2 * _KEPT)
+        for on_arc in (True, False):
+            yield _stop(state, held.scene, share * speed**2 * _KEPT, on_arc=on_arc)
 
 
-def _arc_stop(state: State, scene: Scene, share: float) -> Trajectory:
+def _stop(state: State, scene: Scene, share: float, *, on_arc: bool) -> Trajectory:
     """Return the stop with a share of the largest decelerations."""
     assert scene.base is not None
     v, _, turn = speed_and_turn(state)
     seconds = np.abs(state.qd) / (share * scene.limits.acceleration)
-    seconds[:_BASE] = max(abs(v) / (share * scene.base.a_max), abs(turn) / (share * scene.base.alpha_max))
-    seconds[np.abs(state.qd) <= REST] = 0.0
-    if max(abs(v), abs(turn)) > REST:
+    seconds[:2], seconds[2] = abs(v) / (share * scene.base.a_max), abs(turn) / (share * scene.base.alpha_max)
+    if on_arc:
         seconds[:_BASE] = seconds[:_BASE].max()
-    last = float(seconds.max())
-    t = np.union1d(np.linspace(0.0, last, _PIECES + 1), seconds)
+    t = np.union1d(np.linspace(0.0, float(seconds.max()), _PIECES + 1), seconds)
     t = t[np.append(True, np.diff(t) > _APART)]
-    past = np.minimum(t[:, None], seconds)
-    left = 1.0 - np.divide(past, seconds, out=np.ones_like(past), where=seconds > 0.0)
-    driven = 0.5 * (1.0 + left) * past  # time at the first velocity that leads as far
-    q, qd = state.q + driven * state.qd, left * state.qd
-    qdd = np.where(left > 0.0, -state.qd / np.maximum(seconds, _APART), 0.0)
-    turned, heading = q[:, 2] - state.q[2], q[:, 2]
-    chord = v * driven[:, 0] * np.sinc(turned / (2.0 * np.pi))
-    middle = state.q[2] + 0.5 * turned
-    q[:, 0], q[:, 1] = state.q[0] + chord * np.cos(middle), state.q[1] + chord * np.sin(middle)
-    along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    left = _left(t, seconds)
+    q = state.q + (np.minimum(t[:, None], seconds) * 0.5 * (1.0 + left)) * state.qd
+    qd, qdd = left * state.qd, np.where(left > 0.0, -state.qd / np.maximum(seconds, _APART), 0.0)
+    # Positions of the base: Gaussian quadrature of its velocity on each piece.
+    inner = t[:-1, None] + np.diff(t)[:, None] * _NODES
+    then = _left(inner.ravel(), seconds)
+    heading = state.q[2] + np.minimum(inner.ravel(), seconds[2]) * 0.5 * (1.0 + then[:, 2]) * turn
+    step = v * then[:, :1] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steps = np.diff(t)[:, None] * np.einsum("pgx,g->px", step.reshape(*inner.shape, 2), _WEIGHTS)
+    q[:, :2] = state.q[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    along = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    slower = left[:, :1]
-    braking = np.where(slower > 0.0, -v / max(float(seconds[0]), _APART), 0.0)
-    qd[:, :2] = v * slower * along
-    qdd[:, :2] = braking * along + v * turn * slower**2 * across
+    braking = np.where(left[:, :1] > 0.0, -v / max(float(seconds[0]), _APART), 0.0)
+    qd[:, :2] = v * left[:, :1] * along
+    qdd[:, :2] = braking * along + v * turn * left[:, :1] * left[:, 2:3] * across
     qd[0] = state.qd
     return Trajectory(t, q, qd, qdd, scene.joints)
+
+
+def _left(t: Float[Array, " n"], seconds: Float[Array, " nq"]) -> Float[Array, "n nq"]:
+    """Return the share of each joint's first velocity that is left if it falls to 0 within some time [s]."""
+    past = np.minimum(t[:, None], seconds)
+    return 1.0 - np.divide(past, seconds, out=np.ones_like(past), where=seconds > _APART)

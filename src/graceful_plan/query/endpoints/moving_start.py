@@ -24,6 +24,7 @@ from graceful_plan.judge.verification import verify
 from graceful_plan.path import finite_array
 from graceful_plan.query.base_planning import BasePlanning, base_planning
 from graceful_plan.query.endpoints.configurations import Configuration
+from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.goals import start_configuration
 from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.query.endpoints.real_start import RealStart, real_start, without_turns
@@ -114,8 +115,10 @@ def _stoppable(
             clearance=compile_scene(scene).proof.clearance,
             before=before,
         )
-        if not verdict.passed:
+        tight = driving is not None and bool(held.clearance(stop.q[-1:])[0] < TARGET_CLEARANCE)
+        if not verdict.passed or tight:
             problems = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
+            problems = problems or "it ends with less than 2 mm of clearance in the planner's sphere model"
             why = why or f"the {kind} takes {stop.duration:.3g} s; {problems}"
             continue
         if driving is None and not stops:

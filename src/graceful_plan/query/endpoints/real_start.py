@@ -79,7 +79,7 @@ class RealStart:
         if self.passes and (driving := base_planning(request.objective.scene)) is not None:
             for motion in driving.passing(self.first, result.trajectory, whole, request):
                 found = self._judged(motion, motion.path, result, request)
-                if found.status is PlanStatus.SOLVED:
+                if found.status is PlanStatus.SOLVED and not found.verdict.warnings:
                     return found
         path = Path(np.concatenate([self.first.q[:1], result.path.q])).without_duplicates()
         return self._judged(whole, path, result, request)
