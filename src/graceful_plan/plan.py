@@ -90,7 +90,7 @@ def plan(
     """Plan a motion of low cost along which a failure at any moment does little harm.
 
     Args:
-        start: Configuration [rad or m], the name of a keyframe, or the state of a moving arm, such as
+        start: Configuration [rad or m], the name of a keyframe, or the state of a moving robot, such as
             `trajectory.at(t)`. The motion then leaves with that velocity. A configuration is a robot at rest.
         goal: Configuration, name of a keyframe, `PoseGoal` for the tool, or several of these, such as a set of grasps.
             Or the state of an arm: the motion then ends with that velocity, and `detail` says if the robot could not

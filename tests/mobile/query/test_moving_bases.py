@@ -114,6 +114,7 @@ def test_towards_an_obstacle_nearer_than_its_braking_distance_is_no_start() -> N
     assert_continues(far.unwrap(), moving(1.9, x=-1.0, yaw=0.0), scene)
 
 
+@pytest.mark.long
 def test_with_a_moving_arm_the_base_goes_on_and_the_arm_keeps_its_velocity_at_the_start() -> None:
     """A Fetch with a bottle; the shoulder turns."""
     task = gp.load_scene("hallway").tasks["carry_bottle"]

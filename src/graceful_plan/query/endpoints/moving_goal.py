@@ -96,16 +96,21 @@ def _run_in(
             _beyond(goal, motion, held, speed, late),
         )
         return run_in.path.q[0], run_in
+    detail = f"goal: its velocity cannot be reached; {why}{_possible_share(goal, held, speed, late)}"
+    return PlanResult(status=PlanStatus.INVALID_GOAL, detail=detail)
+
+
+def _possible_share(goal: State, held: SceneConstraints, speed: float, late: Callable[[], bool]) -> str:
+    """Return a message with the largest share of a goal velocity that is possible; empty without time to find it."""
     least, most = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (least + most)
         slower = State(goal.q, middle * goal.qd)
-        passes = not late() and any(
-            _verdict(motion, slower, held).passed for motion, _ in _run_ins(slower, held, speed, late)
-        )
+        passes = any(_verdict(motion, slower, held).passed for motion, _ in _run_ins(slower, held, speed, late))
+        if late():
+            return ""
         least, most = (middle, most) if passes else (least, middle)
-    told = f"{least:.2g} of the velocity is possible" if least else f"nor is {most:.2g} of the velocity possible"
-    return PlanResult(status=PlanStatus.INVALID_GOAL, detail=f"goal: its velocity cannot be reached; {why}; {told}")
+    return f"; {least:.2g} of the velocity is possible" if least else f"; nor is {most:.2g} of the velocity possible"
 
 
 def _run_ins(
@@ -126,7 +131,7 @@ def _problems(verdict: Verdict) -> str:
 
 
 def _beyond(goal: State, motion: Trajectory, held: SceneConstraints, speed: float, late: Callable[[], bool]) -> str:
-    """Return a note if the robot cannot stop beyond the goal after the run-in `motion`."""
+    """Return a note if the robot cannot stop beyond the goal after the run-in `motion`; empty without time to check."""
     before, why = motion.later(-motion.duration), ""
     for stop, _ in stops_from(goal, held, speed, late):
         proof = compile_scene(held.scene).proof.clearance
@@ -134,4 +139,4 @@ def _beyond(goal: State, motion: Trajectory, held: SceneConstraints, speed: floa
         if verdict.passed:
             return ""
         why = why or f"the straight stop takes {stop.duration:.3g} s; {_problems(verdict)}"
-    return f"goal: no stop beyond it; {why}" if why else ""
+    return "" if late() else f"goal: no stop beyond it; {why}"
