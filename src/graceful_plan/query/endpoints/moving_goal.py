@@ -30,7 +30,7 @@ from graceful_plan.timing.trajectory import REST, State, Trajectory
 Array = np.ndarray
 
 _HALVINGS = 5
-"""Steps of the bisection for the largest possible share of a goal velocity: it is told to 3 %."""
+"""Steps of the bisection for the largest possible share of a goal velocity, whose resolution is 3 %."""
 
 
 def find_goal(
