@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.mobile.motions.drive import Drive, StraightMove
+from graceful_plan.mobile.motions.drive_timing import slower
 from graceful_plan.mobile.motions.stages import Move, stages
 from hall import BASE, WALLS, hall
 
@@ -108,6 +110,12 @@ def test_the_arm_moves_with_the_base():
 def test_slower_is_slower():
     full, half = (planned("east", w=0.0, speed=speed).trajectory.duration for speed in (1.0, 0.5))
     assert 1.7 * full < half < 2.05 * full  # slower motions may turn tighter
+
+
+def test_a_drive_whose_timing_merges_points_drives_at_full_speed():
+    q = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    drive = Drive((StraightMove(*q),))
+    assert slower(drive, np.array([0.0, 1e-5]), np.zeros((2, 3))) is None
 
 
 def test_other_planners_do_not_roll():

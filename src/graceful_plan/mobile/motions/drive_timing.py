@@ -74,14 +74,16 @@ def along(whole: Path, arrival: int, request: Request) -> Motion:
 def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
     """Return limits on the path speed from the shares of a drive's fastest motion; None if it drives at full speed.
 
+    A drive so short that its timing merges points of the grid, which takes microseconds, has no such limits either.
+
     Args:
         drive: The drive.
         t: Times of its fastest motion [s], at the points of a grid.
         qd: Velocities there [rad/s or m/s].
     """
-    grid = next(g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(t))
-    share = drive.share(grid)
-    if share is None:
+    grid = next((g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(t)), None)
+    share = None if grid is None else drive.share(grid)
+    if grid is None or share is None:
         return None
     slope = np.linalg.norm(np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]]), axis=1)
     cap = (share * np.linalg.norm(qd, axis=1) / np.maximum(slope, 1e-12)) ** 2

@@ -103,7 +103,7 @@ def _stoppable(
     kind, why = "straight stop" if driving is None else "stop on the present arc", ""
     tried = stops_from(state, held, speed, late, takeover)
     if driving is not None:
-        tried = _driving_stops(driving, state, held, speed, takeover)
+        tried = ((stop, False) for stop in _driving_stops(driving, state, held, speed, takeover))
     for stop, is_straight in tried:
         if late():
             return PlanResult(status=PlanStatus.TIMEOUT, detail="start: the robot moves, and no stop was found in time")
@@ -115,10 +115,8 @@ def _stoppable(
             clearance=compile_scene(scene).proof.clearance,
             before=before,
         )
-        tight = driving is not None and bool(held.clearance(stop.q[-1:])[0] < TARGET_CLEARANCE)
-        if not verdict.passed or tight:
+        if not verdict.passed:
             problems = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
-            problems = problems or "it ends with less than 2 mm of clearance in the planner's sphere model"
             why = why or f"the {kind} takes {stop.duration:.3g} s; {problems}"
             continue
         if driving is None and not stops:
@@ -131,8 +129,23 @@ def _stoppable(
 
 def _driving_stops(
     driving: BasePlanning, state: State, held: SceneConstraints, speed: float, takeover: Takeover | None
-) -> Iterator[tuple[Trajectory, bool]]:
-    """Yield stops of a base on its present arc, then one along its former motion; they count as not straight."""
-    yield from ((stop, False) for stop in driving.stops(state, held, speed))
+) -> Iterator[Trajectory]:
+    """Yield stops of a base on its present arc, then one along its former motion; last those that end in a tight place.
+
+    From there, a base cannot leave in every direction.
+    """
+    tight = []
+    for stop in _base_stops(driving, state, held, speed, takeover):
+        if held.clearance(stop.q[-1:])[0] >= TARGET_CLEARANCE:
+            yield stop
+        else:
+            tight.append(stop)
+    yield from tight
+
+
+def _base_stops(
+    driving: BasePlanning, state: State, held: SceneConstraints, speed: float, takeover: Takeover | None
+) -> Iterator[Trajectory]:
+    yield from driving.stops(state, held, speed)
     if takeover is not None and (along := takeover.stop()) is not None:
-        yield along, False
+        yield along
