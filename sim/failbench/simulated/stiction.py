@@ -62,31 +62,30 @@ class Stiction:
 
     def update(self, sims: Int[Array, " n"]) -> None:
         """Set the velocities of the surfaces by the present displacements. Call it every `EVERY` steps."""
-        if not len(self._pads) or not len(sims):
-            return
-        p_WO, R_WT = self._xpos[sims, self._object], self._xmat[sims, self._tool].reshape(-1, 3, 3)
-        X_TO = np.empty((len(sims), 3, 4))
-        X_TO[..., 3] = np.einsum("nij,ni->nj", R_WT, p_WO - self._xpos[sims, self._tool])
-        X_TO[..., :3] = R_WT.mT @ self._xmat[sims, self._object].reshape(-1, 3, 3)
-        moved, turned = _displacement(self._last[sims], X_TO)
-        moving = np.linalg.norm(moved, axis=1) + _LEVER * np.linalg.norm(turned, axis=1)
-        sticks = moving <= _CREEP * self._seconds  # not so at the first update, with NaN
-        self._stuck[sims[~sticks]], self._last[sims] = X_TO[~sticks], X_TO
+        if len(self._pads):
+            for sim in sims.tolist():
+                self._update(sim)
+
+    def _update(self, sim: int) -> None:
+        p_WO, R_WT = self._xpos[sim, self._object], self._xmat[sim, self._tool].reshape(3, 3)
+        X_TO = np.empty((3, 4))
+        X_TO[:, 3] = R_WT.T @ (p_WO - self._xpos[sim, self._tool])
+        X_TO[:, :3] = R_WT.T @ self._xmat[sim, self._object].reshape(3, 3)
+        moved, turned = _displacement(self._last[sim], X_TO)
+        moving = np.linalg.norm(moved) + _LEVER * np.linalg.norm(turned)
+        if not moving <= _CREEP * self._seconds:  # NaN at the first update
+            self._stuck[sim] = X_TO
+        self._last[sim] = X_TO
         # Velocity v of the object's origin and angular velocity w that bring the object back, in W.
-        off, twist = _displacement(self._stuck[sims], X_TO)
-        v, w = (np.einsum("nij,nj->ni", R_WT, -back / (_RETURN * self._seconds))[:, None] for back in (off, twist))
-        pads = np.ix_(sims, self._pads)
-        R_WG = self._geom_xmat[pads].reshape(len(sims), -1, 3, 3)
-        at_pads = v + np.cross(w, self._geom_xpos[pads] - p_WO[:, None])
-        self._surface[pads] = np.concatenate(
-            [np.einsum("npij,npi->npj", R_WG, x) for x in (at_pads, np.broadcast_to(w, at_pads.shape))], axis=-1
-        )
+        v, w = (R_WT @ -off / (_RETURN * self._seconds) for off in _displacement(self._stuck[sim], X_TO))
+        R_WG = self._geom_xmat[sim, self._pads].reshape(-1, 3, 3)
+        at_pads = v + np.cross(w, self._geom_xpos[sim, self._pads] - p_WO)
+        self._surface[sim, self._pads, :3] = (at_pads[:, None] @ R_WG)[:, 0]
+        self._surface[sim, self._pads, 3:] = w @ R_WG
 
 
-def _displacement(
-    a: Float[Array, "n 3 4"], b: Float[Array, "n 3 4"]
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+def _displacement(a: Float[Array, "3 4"], b: Float[Array, "3 4"]) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
     """Return the translation and the rotation vector, which is small, from one pose to another."""
-    turn = b[..., :3] @ a[..., :3].mT
-    skew = 0.5 * (turn - turn.mT)
-    return b[..., 3] - a[..., 3], skew[..., [2, 0, 1], [1, 2, 0]]
+    turn = b[:, :3] @ a[:, :3].T
+    skew = 0.5 * (turn - turn.T)
+    return b[:, 3] - a[:, 3], skew[[2, 0, 1], [1, 2, 0]]
