@@ -6,7 +6,7 @@ integrated along the tangent while the tool moves on an arc: the object drifts o
 centripetal acceleration, by 1 mm/s at 1 m/s^2. Within a minute of motion, a mug slips out of fingers that hold it well.
 
 Here the surfaces of the fingers move like conveyor belts, against the displacement of the object from where it has
-stuck. They act by the friction of the contacts alone. An object that moves faster than creep slips: it sticks anew
+stuck. They act by the friction of the contacts alone. An object that moves faster than creep slips; it sticks again
 where it stops. Healthy robots are simulated in this way, for minutes; after a failure, the surfaces rest, and an object
 that is still held creeps by a millimetre a second.
 """
