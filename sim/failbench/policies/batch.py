@@ -17,6 +17,7 @@ from failbench.policies.task import PolicyTask
 from failbench.recording.records import RolloutRequest
 from failbench.simulated.rest import let_sleep
 from failbench.simulated.states import control_spec, put, warnings_counted_only
+from failbench.simulated.stiction import EVERY, SURFACE, Stiction
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -40,6 +41,7 @@ class EpisodeBatch:
         self._batch = Batch(task.world.model, count, nthread=threads, persistent=True)
         self._fields: dict[str, Array] = {}
         self._policy = self._field("tree_sleep_policy")
+        self._stiction = Stiction(task.world, self._batch, self._field(SURFACE))
         self._servoing = [Servoing(task) for _ in range(count)]
         self._qpos, self._qvel, self._active, self._xpos, self._force = (
             self._batch.bind(name) for name in ("qpos", "qvel", "eq_active", "xpos", "actuator_force")
@@ -76,6 +78,7 @@ class EpisodeBatch:
         for name, values in self._fields.items():
             values[sim] = getattr(task.world.model, name)
         put(self._batch, np.array([sim]), state[None])
+        self._stiction.begin(np.array([sim]))
         self._servoing[sim].begin(q)
         live = Live(
             fields=partial(self._field_of, sim),
@@ -117,6 +120,7 @@ class EpisodeBatch:
         return bool(self._batch.warning[sim, :, _COUNT].any())
 
     def _step(self, sims: Array, episodes: list[Episode], count: int) -> None:
+        self._stiction.begin(sims[[episode.step == episode.onset for episode in episodes]])
         commands = np.stack([episode.commands(count) for episode in episodes])
         shapes = {name: (len(sims), count, size) for name, size in self._sizes.items()}
         out = {name: self._room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
@@ -124,6 +128,9 @@ class EpisodeBatch:
         for i, episode in enumerate(episodes):
             episode.after(out["sensordata"][i], out["qpos"][i], out["qvel"][i])
         tired = sims[[episode.looks_for_sleep for episode in episodes]]
+        self._stiction.update(
+            sims[[episode.step % EVERY == 0 and episode.step < episode.onset for episode in episodes]]
+        )
         if len(tired):
             policy = self._policy[tired]
             let_sleep(self.task.world, self._xpos[tired], policy)

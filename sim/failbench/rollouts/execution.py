@@ -14,12 +14,13 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
 from failbench.rollouts.healthy_commands import joint_commands, motion_commands
-from failbench.rollouts.healthy_run import HealthyRun, drive, join, settled, simulate
+from failbench.rollouts.healthy_run import HealthyRun, drive, joined, settled, simulate
 from failbench.rollouts.healthy_touches import HealthyTouches
 from failbench.rollouts.stops_ahead import StopsAhead
 from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.rolling import PLANAR
 from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
+from failbench.simulated.stiction import SURFACE, Stiction
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
@@ -246,10 +247,11 @@ def execute(
         start = settled(trajectory.q[0], world, command[0], time=float(trajectory.t[0]))
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
+        stiction = Stiction(world, batch, batch.expand(SURFACE))
         if base is None:
-            run = simulate(world, batch, command[:steps], start[None])
+            run = simulate(world, batch, command[:steps], start[None], stiction)
         else:
-            run, loop = drive(world, batch, command, start[None], base)
+            run, loop = drive(world, batch, command, start[None], stiction, base)
         steps = len(run.qpos)
         command = command[: steps + 1]
         error = np.abs(run.qpos[:, _planned(world)] - wanted[:steps])
@@ -262,7 +264,7 @@ def execute(
         lost = None if stays.all() else int(stays.argmin())
         if lost is not None:
             fall = np.repeat(command[-1:], round(_FALL / dt), axis=0)
-            run = join(run, simulate(world, batch, fall, run.states[-1:]))
+            run = joined([run, simulate(world, batch, fall, run.states[-1:], stiction)])
     healthy = _healthy(world, run, lost)
     if lost is not None:
         problem = _why_lost(world, start, float(slip[lost]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -14,6 +15,7 @@ from failbench.rollouts.healthy_commands import joint_commands
 from failbench.simulated.moving_entities import EntityPoses, set_entity_poses
 from failbench.simulated.rolling import lifted
 from failbench.simulated.states import STATE, control_spec
+from failbench.simulated.stiction import EVERY, Stiction
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float
 
@@ -37,9 +39,24 @@ class HealthyRun(NamedTuple):
 
 
 def simulate(
-    world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
+    world: World,
+    batch: Batch,
+    command: Float[Array, "step actuator"],
+    start: Float[Array, "1 state"],
+    stiction: Stiction,
 ) -> HealthyRun:
     """Continue the only simulation of a batch with commands."""
+    parts = []
+    for first in range(0, len(command), EVERY):
+        parts.append(_stretch(world, batch, command[first : first + EVERY], parts[-1].states[-1:] if parts else start))
+        if len(parts[-1].qpos) == EVERY:
+            stiction.update(np.zeros(1, dtype=int))
+    return joined(parts)
+
+
+def _stretch(
+    world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
+) -> HealthyRun:
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
     if world.model.nmocap:
         time = start[0, 0] + world.settings.timestep * np.arange(len(command))
@@ -54,6 +71,7 @@ def drive(
     batch: Batch,
     command: Float[Array, "step actuator"],
     start: Float[Array, "1 state"],
+    stiction: Stiction,
     base: WheelPlan,
 ) -> tuple[HealthyRun, Float[Array, "tick wheel_and_1"]]:
     """Drive a base: its loop is closed at each tick, and the loop's commands are written into `command`."""
@@ -68,19 +86,21 @@ def drive(
         until = min(step + TICK, steps)
         command[step:, base.motor] = rows[-1]  # held unless the next tick overwrites it
         command[step:until, base.motor] = rows[: until - step]
-        runs.append(simulate(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
+        runs.append(_stretch(world, batch, command[step:until], runs[-1].states[-1:] if runs else start))
+        if until % EVERY == 0:
+            stiction.update(np.zeros(1, dtype=int))
     else:
         if not base.in_time:
             raise ExecutionRefused(
                 "the base", steps * base.dt, "its controller did not bring it to the end of the path"
             )
-    parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
-    return HealthyRun._make(map(np.concatenate, zip(*parts, strict=True))), np.array(ticks)
+    return joined(runs), np.array(ticks)
 
 
-def join(first: HealthyRun, second: HealthyRun) -> HealthyRun:
-    """Return two consecutive simulations as one."""
-    return HealthyRun._make(map(np.concatenate, zip(first, second._replace(states=second.states[1:]), strict=True)))
+def joined(runs: Sequence[HealthyRun]) -> HealthyRun:
+    """Return consecutive simulations as one."""
+    parts = [run._replace(states=run.states[min(i, 1) :]) for i, run in enumerate(runs)]
+    return HealthyRun._make(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def settled(

@@ -152,6 +152,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     if scene.carried is not None:
         _add_weld(spec, scene, gripper, settings)
     simulated = spec.compile()
+    simulated.flg_surfacevel = True  # stiction moves the surfaces of the fingers
     added = 0 if scene.base is None else PLANAR + len(scene.base.wheels)
     if simulated.nq != model.nq + added or simulated.ngeom != model.ngeom:
         raise UnsupportedError("the carried object needs a free joint to be dropped")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -201,7 +201,7 @@ class Scene(SceneChanges):
         state: Mapping[str, float | ArrayLike] | str | None = None,
         velocity: Sequence[float] | None = None,
         fingers: Fingers | None = None,
-        decompose: bool | None = None,
+        decompose: bool | Collection[str] | None = None,
         convex: str | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
@@ -233,7 +233,8 @@ class Scene(SceneChanges):
             velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
             fingers: As in `from_mjcf`; mimic joints follow.
             decompose: Whether to divide meshes into convex parts. With None they are divided if links touch in many
-                configurations and the library `coacd` is installed; if it is not installed, a warning is logged.
+                configurations and the library `coacd` is installed; if it is not installed, a warning is logged. Names
+                of links divide their meshes closely, such as jaws whose hulls overlap where an object would be.
             convex: As in `from_mjcf`, for the meshes of the world.
             limits: As in `from_mjcf`.
             allowed_contacts: Contacts to allow in addition.
@@ -243,7 +244,7 @@ class Scene(SceneChanges):
 
         Raises:
             SceneError: If a file is broken, hostile or missing.
-            UnsupportedError: If the robot has unsupported features, or `decompose` is True without `coacd`.
+            UnsupportedError: If the robot has unsupported features, or `decompose` asks for parts without `coacd`.
             SettingError: If both `joints` and `group` are given.
             UnknownNameError: If there is no such link, joint, group or state.
         """

@@ -56,8 +56,10 @@ class RobotDynamics:
         acceleration = J_v @ data.qacc + dJ_v @ data.qvel - model.opt.gravity
         turning, angular = J_w @ data.qacc + dJ_w @ data.qvel, J_w @ data.qvel
         R = data.ximat[body].reshape(3, 3)
-        inertia = R @ np.diag(model.body_inertia[body]) @ R.T
-        moment = inertia @ turning + np.cross(angular, inertia @ angular)
+        inertia = (R * model.body_inertia[body]) @ R.T
+        gyration = np.empty(3)
+        mujoco.mju_cross(gyration, angular, inertia @ angular)
+        moment = inertia @ turning + gyration
         return J_v.T @ (model.body_mass[body] * acceleration) + J_w.T @ moment
 
 

@@ -319,9 +319,9 @@ def test_rollouts_on_the_tabletop_equal_a_plain_loop() -> None:
     jobs = [RolloutRequest(fault=Drop(), onset=part * done.duration, seed=0) for part in (0.3, 0.6, 0.9)]
     jobs.append(RolloutRequest(fault=Weaken(degree="critical"), onset=0.5 * done.duration, seed=1))
     touched = 0
-    for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.35), strict=True):
+    for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.25), strict=True):
         contacts: dict[tuple[str, str], list[tuple[int, float, np.ndarray]]] = defaultdict(list)
-        for step, (model, data) in enumerate(rollout_steps(done, job, horizon=0.35)):
+        for step, (model, data) in enumerate(rollout_steps(done, job, horizon=0.25)):
             _read(done.world.scene, model, data, step, contacts)
         events = {(e.striker, e.entity): e for e in rollout.events}
         _check_against({pair: rows for pair, rows in contacts.items() if pair not in done.baseline}, events, done.dt)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SceneError, UnsupportedError
+from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.scene import scene as scene_module
 from graceful_plan.scene.urdf.convex_parts import convex_parts
 from graceful_plan.scene.urdf.meshes import mesh_content, mesh_triangles, obj_content
@@ -105,6 +105,22 @@ def test_a_robot_passes_through_a_concave_corner(tmp_path: Path) -> None:
     meshes = [g for g in range(divided.model.ngeom) if divided.model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
     assert len(meshes) >= 2 and len({divided.model.geom_bodyid[g] for g in meshes}) == 1
     assert gp.clearance([0.7], divided) < 0.0  # a leg is in the way
+
+
+def test_named_links_are_divided_closely(tmp_path: Path) -> None:
+    pytest.importorskip("coacd")
+    (tmp_path / "angle.obj").write_bytes(obj_content(0.1 * angle()))  # the hull protrudes by less than 2.5 cm
+    file = tmp_path / "crane.urdf"
+    file.write_text(URDF)
+
+    def meshes(decompose: bool | list[str]) -> int:
+        model = gp.Scene.from_urdf(file, tool="angle", acceleration=2.0, decompose=decompose).model
+        return int((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH).sum())
+
+    assert meshes(True) == 1
+    assert meshes(["angle"]) >= 2
+    with pytest.raises(UnknownNameError, match="'jaw'"):
+        gp.Scene.from_urdf(file, tool="angle", acceleration=2.0, decompose=["jaw"])
 
 
 def test_without_coacd_the_error_names_it(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:

@@ -36,6 +36,29 @@ def test_a_published_robot_moves(file: str, tool: str, called: float, solved: in
     _moves(gp.Scene.from_urdf(path, tool=tool, acceleration=5.0, packages=[DATA]), called, solved)
 
 
+def test_jaws_of_a_published_robot_hold_a_box_by_friction() -> None:
+    pytest.importorskip("coacd")
+    path = _there(DATA / "example-robot-data" / "robots" / "so_arm_description" / "urdf" / "so101.urdf")
+    world = """<mujoco><worldbody><body name="box" pos="1 0 0"><freejoint/>
+      <geom type="box" size=".015 .015 .02" mass=".05" friction="1 .005 .0001" condim="4"/></body></worldbody>
+      </mujoco>"""
+    scene = gp.Scene.from_urdf(
+        path,
+        tool="gripper_frame_link",
+        acceleration=8.0,
+        packages=[DATA],
+        world=world,
+        decompose=["gripper_link", "moving_jaw_so101_v1_link"],
+    )
+    X_TO = np.diag([1.0, -1.0, -1.0, 1.0])
+    X_TO[:3, 3] = -0.016, 0.0, -0.02  # beside the fixed jaw, 2 cm inwards
+    held = scene.attach("box", X_TO=X_TO, fingers=gp.Opening())
+    start, goal = [-0.9, 0.2, 0.1, 0.9, 0.0], [0.9, 0.2, 0.1, 0.9, 0.0]
+    result = gp.plan(start, goal, held, iterations=50)
+    assert fb.execute(result, fb.build_world(held)).slip < 2e-3
+    assert fb.validate(result, held, "*/gripper_failure/critical", n=2).dropped.mean == 1.0
+
+
 @pytest.mark.parametrize(("name", "joints", "solved"), [("kinova3", 7, 6), ("iiwa", 7, 6), ("ur5e", 6, 1)])
 def test_a_published_mjcf_arm_moves(name: str, joints: int, solved: int) -> None:
     path = _there(MJCF / "robosuite" / "models" / "assets" / "robots" / name / "robot.xml")

@@ -28,6 +28,8 @@ _LOG = logging.getLogger(__name__)
 _STICKS_OUT = 0.025
 """Distance of a hull from the mesh surface above which the mesh is divided [m]. Collision spheres also protrude by
 1 cm. A UR5 has 3.8 cm at its long links, 0.7 to 1.8 at others. Volumes are no measure: many meshes are hollow."""
+_PROTRUDES = 0.005
+"""The same distance for links that the caller names, such as jaws [m]: hulls of an SO-101's jaws protrude by 2 cm."""
 _CONCAVITY = 0.05
 """Largest concavity of a part relative to the mesh: the library's default."""
 _MOST_PARTS = 16
@@ -48,7 +50,9 @@ _THICKNESS = 1e-4
 HINT = "pip install '.[urdf]'"
 
 
-def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: bool) -> list[Float[Array, "_ 3"]]:
+def convex_parts(
+    triangles: Float[Array, "triangle 3 3"], name: str, *, needed: bool, closely: bool = False
+) -> list[Float[Array, "_ 3"]]:
     """Divide a mesh into parts with tight hulls; return their vertices, or an empty list if its own hull is tight.
 
     Every sampled point of the surface is inside a hull: points outside of all hulls are added to the nearest part.
@@ -57,11 +61,13 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
         triangles: Triangles of the mesh [m].
         name: Name of the mesh, for messages.
         needed: Whether to raise, instead of logging a warning, if the library is missing.
+        closely: Whether to divide a mesh whose hull protrudes by a few millimetres, too.
 
     Raises:
         UnsupportedError: If `needed` and the library is missing.
     """
-    method = repr((_METHOD, _STICKS_OUT, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
+    allowed = _PROTRUDES if closely else _STICKS_OUT
+    method = repr((_METHOD, allowed, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
     digest = hashlib.sha256(method.encode() + triangles.tobytes()).hexdigest()
     found = disk_cache.read(digest)
     if found is not None and found.ndim == 2 and found.shape[1] == 4 and np.isfinite(found).all():
@@ -71,7 +77,7 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
         return []
     spatial = importlib.import_module("scipy.spatial")
     sticks_out = float(spatial.KDTree(surface).query(_surface(_facets(hull)))[0].max())
-    if sticks_out < _STICKS_OUT:
+    if sticks_out < allowed:
         disk_cache.write(digest, np.zeros((0, 4)))
         return []
     try:

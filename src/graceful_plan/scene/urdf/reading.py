@@ -129,7 +129,9 @@ Packages = Sequence[str | Path] | Mapping[str, str | Path]
 """Folders that are or contain packages, or package folders by package name."""
 
 
-def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | None = False) -> UrdfRobot:
+def read_urdf(
+    source: str | Path, packages: Packages = (), *, decompose: bool | Collection[str] | None = False
+) -> UrdfRobot:
     """Read a robot from URDF.
 
     Args:
@@ -137,8 +139,10 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package name.
             Meshes are read only from there, from the folder of the file, and from the ROS package that it is in.
         decompose: Whether to divide meshes far from convex into parts; with None, only if the library is installed.
+            Names of links divide their meshes alone, closely.
 
     Raises:
+        UnknownNameError: If `decompose` names a link that the robot does not have.
         SceneError: If the URDF is broken, hostile, or has no collision geometry.
         UnsupportedError: If it has meshes that cannot be read.
     """
@@ -146,6 +150,7 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
     meshes = {mesh.get("filename", "") for mesh in root.iterfind("link/collision/geometry/mesh")}
     if root.find("link/collision/geometry") is None:
         raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
+    named = None if decompose is None or isinstance(decompose, bool) else _meshes_of(root, decompose)
     assets: dict[str, bytes] = {}
     parts: dict[str, list[str]] = {}
     if isinstance(packages, Mapping):
@@ -158,7 +163,10 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         weight += mesh_weight(content, ending)
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
-        found = _in_parts(content, ending, name, decompose)
+        if named is not None:
+            found = _in_parts(content, ending, name, name in named, closely=True)
+        else:
+            found = _in_parts(content, ending, name, bool(decompose) if decompose is not None else None)
         stem = _ODD.sub("_", Path(name).stem)[:60]  # for messages about the mesh
         parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
@@ -229,11 +237,23 @@ def _with_prefixes(text: str) -> str:
     return re.sub(r"<robot(?=[\s>])", f"<robot{declared}", text, count=1)
 
 
-def _in_parts(content: bytes, ending: str, name: str, decompose: bool | None) -> list[tuple[bytes, str]]:
+def _meshes_of(root: ET.Element, links: Collection[str]) -> set[str]:
+    """Return the names of the collision meshes of links; raises UnknownNameError if there is no such link."""
+    known = {link.get("name", ""): link for link in root.iterfind("link")}
+    for name in links:
+        if name not in known:
+            raise UnknownNameError("link", name, known)
+    return {mesh.get("filename", "") for name in links for mesh in known[name].iterfind("collision/geometry/mesh")}
+
+
+def _in_parts(
+    content: bytes, ending: str, name: str, decompose: bool | None, *, closely: bool = False
+) -> list[tuple[bytes, str]]:
     """Return contents and suffixes of the mesh files that replace a mesh: its convex parts, or the mesh itself."""
     if decompose is False:
         return [(content, ending)]
-    parts = convex_parts(mesh_triangles(content, ending, name), Path(name).name, needed=bool(decompose))
+    triangles = mesh_triangles(content, ending, name)
+    parts = convex_parts(triangles, Path(name).name, needed=bool(decompose), closely=closely)
     return [(obj_content(part_triangles(part)), ".obj") for part in parts] or [(content, ending)]
 
 
