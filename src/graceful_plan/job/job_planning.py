@@ -43,6 +43,8 @@ _GRASPS = 4
 """Default number of grasps of each object to choose from."""
 _SEARCHED, _BOUNDED = 0.65, 0.75
 """Shares of the time limit at which the search ends, and the lower bound is found; then motions are improved."""
+_LOOKED = 2
+"""Number of actions that the lower bound looks at for each planned one, if there is no time limit."""
 _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
 _CONTENDERS, _CONTENDERS_COST = 3, 1.5
@@ -174,7 +176,9 @@ class JobSession:
             return JobResult(status=status, detail=why, stats=_stats(search, budget), again=self.answer)
         bound = sequence_bound(
             search,
-            lambda looked: budget.cancelled() or late(_BOUNDED) or (iterations is not None and looked >= iterations),
+            lambda looked: (
+                budget.cancelled() or late(_BOUNDED) or (iterations is not None and looked >= _LOOKED * iterations)
+            ),
         )
         steps, cost = self._improved(search, budget, iterations)
         trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))

@@ -37,6 +37,8 @@ _FAR = 1e6
 """More than any cost, so that edges are ordered by depth first."""
 _ENDANGERED = 0.01
 """Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
+_CHEAP = 5
+"""Number of actions that are refused without planning, in about the time that a planned one takes."""
 _RATIO = 2.0
 """Ratio of cost to lower bound that is assumed before any edge is planned."""
 
@@ -101,7 +103,10 @@ class SequenceSearch:
     best: Node | None = None
     complete: list[Node] = field(default_factory=list)
     """Nodes of all complete sequences that were found."""
-    planned: int = 0
+    tried: int = 0
+    """Number of actions for which motions were planned."""
+    refused: int = 0
+    """Number of actions that were refused without that, and of waits."""
     refusals: dict[str, Refusal] = field(default_factory=dict)
     exhausted: bool = False
     """Whether no edges are left."""
@@ -165,6 +170,11 @@ class SequenceSearch:
         return None
 
     @property
+    def planned(self) -> int:
+        """Number of planned actions, to which refused ones and waits count by the time that they take."""
+        return self.tried + self.refused // _CHEAP
+
+    @property
     def lower_bound(self) -> float:
         """The least cost that a sequence over the choices at hand can have."""
         left = (edge for _, _, first in self._open for edge in (first, *first.others.waiting))
@@ -190,8 +200,9 @@ class SequenceSearch:
 
     def child(self, edge: Edge) -> Node | None:
         """Plan an edge; return the node that it leads to, or None if the action is not possible."""
-        self.planned += not isinstance(edge.action, Wait)  # which needs no planning
         deed = edge.action.motion(edge.node.state, edge.choice, self.motions)
+        is_cheap = isinstance(edge.action, Wait) or (isinstance(deed, Refusal) and not deed.unsure)
+        self.tried, self.refused = self.tried + (not is_cheap), self.refused + is_cheap
         if isinstance(deed, Refusal):
             edge.others.needs_grasp = edge.others.needs_grasp or not deed.by_any_grasp
             self.refusals[deed.name] = deed
