@@ -80,7 +80,7 @@ def plan_job(
         w: Safety weight, as in `plan`.
         start: Configuration at the start; the keyframe "ready", else the middle of the joint ranges, by default.
         objective: Objective of all motions, as in `plan`.
-        grasps: Number of grasps of each object to choose from.
+        grasps: Number of grasps of each object to choose from; more are drawn if all of them are refused.
         time_limit: Time limit [s]; 20 by default, unlimited if `iterations` is given.
         iterations: Number of actions to plan. Without a time limit, the result then depends only on the seed.
         seed: Seed of all random numbers.
