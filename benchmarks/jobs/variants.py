@@ -48,7 +48,7 @@ KINDS: Mapping[str, JobKind] = {
     ),
     "clear_once": JobKind(
         goals={f"mug{i + 1}": (0.5, 0.25 + 0.11 * i, 0.4) for i in range(3)},
-        extras=(gp.Clear("laptop", on="side_table", n=1),),
+        extras=(gp.Clear("laptop", on="side_table"),),
         others=("laptop",),
         precious=("laptop",),
     ),
