@@ -89,8 +89,8 @@ def run(options: suite.Options) -> str:
             ),
             "Sequences:\n",
             report.table(("job", OURS, BLIND_ORDER), (_sequence_row(one) for one in found), numbers=False),
-            "Predicted impact (sum of P S over the job) and motion cost, the largest share by which another sequence over the "
-            "same choices may be cheaper (by the lower bound), and times of the search:\n",
+            "Predicted impact (sum of P S over the job) and motion cost, gap to the lower bound over the same choices, and "
+            "times of the search:\n",
             report.table(_COST_HEADER, (_cost_row(one) for one in found)),
         ]
     )

@@ -134,8 +134,8 @@ class Motions:
 
     def sampled(self, state: JobState, name: str) -> Iterator[Grasp]:
         """Yield the grasps of an object, given or sampled; a lid on it leaves others than before."""
-        if name in self.given:
-            yield from self.given[name]
+        if own := self.given.get(name):
+            yield from own
             return
         key = ("sampled", self._world(state), name)
         if key not in self._known:
