@@ -89,7 +89,7 @@ def run(options: suite.Options) -> str:
             ),
             "Sequences:\n",
             report.table(("job", OURS, BLIND_ORDER), (_sequence_row(one) for one in found), numbers=False),
-            "Predicted impact (sum of P S over the job) and motion cost, gap to the lower bound over the same choices, and "
+            "Predicted impact (sum of P S over the job) and motion cost, gap to the lower bound, and "
             "times of the search:\n",
             report.table(_COST_HEADER, (_cost_row(one) for one in found)),
         ]
