@@ -43,7 +43,7 @@ _GRASPS = 4
 """Default number of grasps of each object to choose from."""
 _SEARCHED, _BOUNDED = 0.65, 0.75
 """Shares of the time limit at which the search ends, and the lower bound is found; then motions are improved."""
-_LOOKED = 2
+_LOOKED = 4
 """Number of actions that the lower bound looks at for each planned one, if there is no time limit."""
 _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
