@@ -27,7 +27,8 @@ from itertools import groupby, islice
 
 import numpy as np
 
-from graceful_plan.job.actions import Action, Carry, Closing, Deed, Transport, Wait
+from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
+from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 
@@ -357,13 +358,17 @@ class SequenceSearch:
         return found
 
     def _is_changeable(self, goal: Transport) -> bool:
-        """Tell whether another action may move an object or its goal, or change its grasps."""
-        others = (action for action in self.actions if action is not goal)
-        is_changed = any(
-            action.name == goal.name or (isinstance(action, Closing) and action.vessel == goal.name)
-            for action in others
-        )
-        return is_changed or goal.onto is not None or bool(goal.slots)
+        """Tell whether another action may move an object or its goal, or change how it is reached."""
+        if goal.onto is not None or goal.slots:
+            return True
+        for action in self.actions:
+            if action is goal or isinstance(action, Wait):
+                continue
+            is_known = isinstance(action, Transport | Loading | Hauling | Clearing | Closing)
+            is_vessel = isinstance(action, Closing) and action.vessel == goal.name
+            if not is_known or action.name == goal.name or is_vessel:
+                return True
+        return False
 
     def _estimate(self, edge: Edge) -> float:
         # What clears the way, or closes a lid, may free the motions that follow of all harm.
@@ -405,5 +410,11 @@ class SequenceSearch:
 
 
 def _by_grasp(choices: Iterator[Hashable]) -> Iterator[Sequence[Hashable]]:
-    for _, group in groupby(choices, key=lambda choice: id(choice.grasp) if isinstance(choice, Carry) else None):
+    """Yield groups of choices with the same grasp; those without a grasp are one group."""
+    for _, group in groupby(choices, key=_grasp_of):
         yield list(group)
+
+
+def _grasp_of(choice: Hashable) -> int | None:
+    grasp = choice.grasp if isinstance(choice, Carry) else choice
+    return id(grasp) if isinstance(grasp, Grasp) else None
