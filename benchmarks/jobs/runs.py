@@ -76,6 +76,8 @@ class Measured:
     """Processor time until then [s]."""
     shares: dict[str, float] = field(default_factory=dict)
     """Time in grasps, stances, checks and `plan`, and in all [s]."""
+    gap: float = np.nan
+    """Share by which a sequence over the choices of ours may be cheaper at most, by its lower bound."""
     found: float = np.nan
     """Cost of the first motions of the best sequence, with one grasp of each object."""
     least: float = np.nan
@@ -88,7 +90,7 @@ def measure(run: Run) -> Measured:
     measured = Measured(run=asdict(run), objects=len(one.goals) + len(one.kind.on_tray))
     measured.first_seconds, measured.first_cpu = first_plan(one, run.w)
     plans = planned(one, run.w, run.seed)
-    measured.shares = dict(plans[OURS].stats)
+    measured.shares, measured.gap = dict(plans[OURS].stats), plans[OURS].gap
     known: dict[int, Way] = {}
     for name, result in plans.items():
         if id(result) not in known:

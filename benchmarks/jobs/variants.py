@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import graceful_plan as gp
+from graceful_plan.core.frames import pose_matrix
+from graceful_plan.job.placing import occupant
 
 FOLDER = Path(__file__).parent
 SEED = 42
@@ -46,7 +48,7 @@ KINDS: Mapping[str, JobKind] = {
     ),
     "clear_once": JobKind(
         goals={f"mug{i + 1}": (0.5, 0.25 + 0.11 * i, 0.4) for i in range(3)},
-        extras=(gp.Clear("laptop", on="side_table", n=1),),
+        extras=(gp.Clear("laptop", on="side_table"),),
         others=("laptop",),
         precious=("laptop",),
     ),
@@ -91,9 +93,12 @@ def variant(name: str, number: int) -> Variant:
         return Variant(scene=scene, kind=kind, goals=goals)
     rng = np.random.default_rng([SEED, list(KINDS).index(name), number])
     data = scene.data_at(scene.keyframes["ready"])
-    moved = {}
-    for body in (*kind.goals, *kind.on_tray, *kind.others):
-        moved[body] = data.body(body).xpos + [*rng.uniform(-SHIFT, SHIFT, 2), 0.0]
+    bodies = (*kind.goals, *kind.on_tray, *kind.others)
+    while True:  # until no two objects are in one place
+        moved = {body: data.body(body).xpos + [*rng.uniform(-SHIFT, SHIFT, 2), 0.0] for body in bodies}
+        drawn = scene.edit(move=moved)
+        if not any(occupant(drawn, body, standing(drawn, body)) for body in bodies):
+            break
     for at in goals.values():
         at[:2] += rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2)
     factors = {body: float(FACTOR ** rng.uniform(-1.0, 1.0)) for body in kind.precious}
@@ -102,7 +107,13 @@ def variant(name: str, number: int) -> Variant:
     for body, factor in factors.items():
         note = scene.moving[body] if body in scene.moving else scene.entities[body]
         severity[body] = {component: factor * value for component, value in table.rows[note.category].items()}
-    return Variant(scene=scene.edit(move=moved).with_severity(severity), kind=kind, goals=goals)
+    return Variant(scene=drawn.with_severity(severity), kind=kind, goals=goals)
+
+
+def standing(scene: gp.Scene, body: str) -> np.ndarray:
+    """Return the pose of a body in W."""
+    found = scene.data_at(scene.keyframes["ready"]).body(body)
+    return pose_matrix(found.xmat, found.xpos)
 
 
 def eight_objects() -> Variant:

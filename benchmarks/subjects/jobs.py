@@ -89,7 +89,8 @@ def run(options: suite.Options) -> str:
             ),
             "Sequences:\n",
             report.table(("job", OURS, BLIND_ORDER), (_sequence_row(one) for one in found), numbers=False),
-            "Predicted impact (sum of P S over the job) and motion cost, and times of the search:\n",
+            "Predicted impact (sum of P S over the job) and motion cost, gap to the lower bound, and "
+            "times of the search:\n",
             report.table(_COST_HEADER, (_cost_row(one) for one in found)),
         ]
     )
@@ -189,6 +190,7 @@ _COST_HEADER = (
     "order of w = 0",
     "motion, ours [rad]",
     "order of w = 0",
+    "gap",
     "first plan [s]",
     "grasps",
     "stances",
@@ -205,6 +207,7 @@ def _cost_row(one: Measured) -> Sequence[object]:
     return (
         _name(one),
         *(report.quantity(x) for x in (ours.impact, theirs.impact, ours.motion, theirs.motion)),
+        report.percent(one.gap, 0),
         f"{one.first_seconds:.1f}",
         *(report.percent(share, 0) for share in (*parts, 1.0 - sum(parts))),
     )

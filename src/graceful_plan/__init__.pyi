@@ -39,6 +39,7 @@ from graceful_plan.job.actions import Clear as Clear
 from graceful_plan.job.actions import CloseLid as CloseLid
 from graceful_plan.job.actions import Deed as Deed
 from graceful_plan.job.actions import Load as Load
+from graceful_plan.job.actions import Outlook as Outlook
 from graceful_plan.job.actions import Wait as Wait
 from graceful_plan.job.grasping import Grasp as Grasp
 from graceful_plan.job.grasping import grasps as grasps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -12,9 +12,10 @@ from order_jobs import job_scene, order_job, ordered
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.job.actions import Deed, Hauling, Loading, Transport
+from graceful_plan.job.bounds import sequence_bound
 from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobFailed, JobStatus
-from graceful_plan.job.job_state import JobState, PoseKey, pose_key
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
 
@@ -84,6 +85,10 @@ def test_exhaustive_search_finds_no_cheaper_order(w: float) -> None:
     assert search.exhausted and search.best is not None
     assert search.best.cost == pytest.approx(_cheapest(search, Node(state=search.start)))
     assert search.lower_bound == pytest.approx(search.best.cost)
+    bound = sequence_bound(session.search(), lambda _: False)
+    straight = min(search.least(edge) for edge in search.edges(Node(state=search.start)))
+    assert straight < bound <= search.best.cost
+    assert sequence_bound(session.search(), lambda looked: looked > 1) <= bound
 
 
 @pytest.mark.long
@@ -92,7 +97,9 @@ def test_exhaustive_search_finds_nothing_cheaper(job: Callable[[], gp.Job]) -> N
     search = JobSession(job(), gp.Objective(w=1.0), grasps=2).search()
     search.run(lambda _: False)
     assert search.best is not None
-    assert search.best.cost == pytest.approx(_cheapest(search, Node(state=search.start)))
+    cheapest = _cheapest(search, Node(state=search.start))
+    assert search.best.cost == pytest.approx(cheapest)
+    assert sequence_bound(search, lambda _: False) <= cheapest
 
 
 @pytest.mark.long
@@ -105,6 +112,63 @@ def test_the_lid_pays_from_some_weight_on() -> None:
 def test_clearing_once_pays_from_some_count_on() -> None:
     kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=24).unwrap()] for n in (1, 3)]
     assert "clear" not in kinds[0] and "clear" in kinds[1]
+
+
+def test_the_gap_and_the_use_of_time_are_told() -> None:
+    result = ordered(_CAREFUL)
+    assert 0.0 < result.gap == pytest.approx(1.0 - result.lower_bound / result.cost.total)
+    assert gp.plan_job(order_job(), 0.0, grasps=1, iterations=1).gap == np.inf
+    parts = [result.stats[part] for part in ("grasps", "stances", "checks", "plan", "search")]
+    assert min(parts) > 0.0 and sum(parts) == pytest.approx(result.stats["total_time"])
+
+
+def test_the_bound_of_own_actions_counts_their_own_bound_only() -> None:
+    job = order_job().allow(_Cover("dome", job_scene("order").keyframes["ready"] + 0.01))
+    search = JobSession(job, gp.Objective(w=_CAREFUL), grasps=1).search()
+    straight = min(search.least(edge) for edge in search.edges(Node(state=search.start)))
+    assert sequence_bound(search, lambda _: False) <= straight
+
+
+def test_harm_to_moving_entities_is_not_part_of_the_bound() -> None:
+    job = gp.Job(job_scene("person")).place("crate", at=[0.4, 0.4, 0.4])
+    search = JobSession(job, gp.Objective(w=30.0), grasps=1).search()
+    straight = min(search.least(edge) for edge in search.edges(Node(state=search.start)))
+    assert 0.0 < sequence_bound(search, lambda _: False) == pytest.approx(straight)
+
+
+def _close_glasses(*, apart: float) -> gp.Scene:
+    return job_scene("tray").edit(move={"glass1": [0.4, -0.47, 0.4], "glass2": [0.4 + apart, -0.47, 0.4]})
+
+
+def test_more_grasps_are_drawn_if_a_neighbour_is_in_the_way_of_the_first() -> None:
+    job = gp.Job(_close_glasses(apart=0.065)).place("glass1", at=[0.42, 0.35, 0.4])
+    search = JobSession(job, gp.Objective(w=0.0), grasps=1).search()
+    (first,) = search.edges(Node(state=search.start))
+    assert search.child(first) is None and "glass2" in search.refusals["glass1"].why
+    result = gp.plan_job(job, 0.0, grasps=1, iterations=4)
+    assert result.order == ("glass1",) and result.lower_bound <= result.cost.total
+
+
+def test_grasps_reach_an_object_and_its_place() -> None:
+    search = JobSession(order_job(), gp.Objective(w=0.0), grasps=2).search()
+    for goal in search.goals:
+        to = goal.poses(search.start)
+        found = list(islice(search.motions.grasps(search.start, goal.name, to), 2))
+        assert len(found) == 2
+        for grasp in found:
+            for X in (pose_key(search.start.pose(goal.name)), *to):
+                q = search.motions.configuration(search.start, goal.name, grasp, X)
+                assert q is not None
+                held = search.start.holding(goal.name, grasp)
+                np.testing.assert_allclose(held.data_at(q).body(goal.name).xpos, pose_of(X)[:3, 3], atol=2e-3)
+
+
+def test_an_object_that_overlaps_another_is_told() -> None:
+    job = gp.Job(_close_glasses(apart=0.02)).place("glass1", at=[0.42, 0.35, 0.4])
+    result = gp.plan_job(job, 0.0, grasps=1, iterations=4)
+    assert (
+        result.status is JobStatus.INFEASIBLE and "'glass1'" in result.detail and "overlaps 'glass2'" in result.detail
+    )
 
 
 def test_same_seed_same_result() -> None:
@@ -313,6 +377,16 @@ def test_a_tray_takes_along_what_stands_on_it() -> None:
     assert all(gp.verify(piece.trajectory, piece.scene).passed for step in result.steps for piece in step.pieces)
     after = last.scene.data_at(last.trajectory.q[-1])
     np.testing.assert_allclose(after.body("tray").xpos, [0.48, 0.3, 0.4])
+
+
+@pytest.mark.long
+def test_few_actions_compare_a_trip_with_the_tray_and_one_for_each_glass() -> None:
+    job = gp.Job(job_scene("tray")).place("tray", at=[0.48, 0.3, 0.4]).allow(gp.Load("tray"))
+    job.place("glass1", on="tray").place("glass2", on="tray")
+    search = JobSession(job, gp.Objective(w=1.0), grasps=3, speed=0.5).search()
+    search.run(lambda planned: planned >= 14)
+    names = [node.deeds[0].steps[-1][1] for node in search.complete]
+    assert "tray" in names and set(names) - {"tray"}
 
 
 @pytest.mark.long

@@ -77,8 +77,9 @@ def test_contents_are_conserved_and_later_spills_cost_less() -> None:
     assert sum(volumes) == pytest.approx(before["kettle"].contents.volume)  # type: ignore[union-attr]
     assert 0.0 < volumes[0] < 0.1 and after["pot"].contents.temperature == 90.0  # type: ignore[union-attr]
     np.testing.assert_allclose(deed.state.pose("kettle"), state.pose("kettle"))
-    (grasp, *_) = motions.grasps(state, "kettle")
-    stance = motions.stance(state, "kettle", grasp, pose_key(state.pose("kettle")))
+    here = pose_key(state.pose("kettle"))
+    grasp = next(motions.grasps(state, "kettle", [here]))
+    stance = motions.stance(state, "kettle", grasp, here)
     assert not isinstance(stance, Refusal)
     full, light = (
         gp.evaluate(stance.lift, one.holding("kettle", grasp, ("table",)), gp.Objective(w=1.0)).impact

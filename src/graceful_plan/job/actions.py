@@ -38,6 +38,14 @@ class Deed:
     state: JobState
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outlook:
+    """What is known of an action without planning it: a lower bound of its cost, and the state afterwards."""
+
+    cost: float
+    state: JobState
+
+
 class Action(ABC):
     """Something that a job may do."""
 
@@ -73,6 +81,13 @@ class Action(ABC):
     def check(self, scene: Scene) -> None:
         """Raise an error if the action does not fit the scene of a job; `Job.allow` calls it."""
         return
+
+    def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
+        """Return a bound of the cost and the state afterwards without planning, or why it is not possible.
+
+        None, by default, if that is not known; the lower bound of a job then counts no harm.
+        """
+        return None
 
 
 @dataclass(frozen=True)
@@ -124,11 +139,10 @@ class Transport(Action):
         if ("joined", self.name) in state.facts or self.is_done(state):
             return
         now, here = state.loaded(self.name, self.slots), pose_key(state.pose(self.name))
-        for grasp in motions.grasps(now, self.name):
-            if motions.configuration(now, self.name, grasp, here) is None:
-                continue
-            for X in self.poses(state):
-                if X != here and motions.configuration(now, self.name, grasp, X) is not None:
+        to = [X for X in self.poses(state) if X != here]
+        for grasp in motions.grasps(now, self.name, to):
+            for X in to:
+                if motions.configuration(now, self.name, grasp, X) is not None:
                     yield Carry(grasp, X)
 
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
@@ -151,11 +165,26 @@ class Transport(Action):
         if isinstance(found, Refusal):
             return found
         before, after, then = found
-        arrived, X_WT = state.moved(self.name, pose_of(choice.to)), pose_of(choice.to)
+        arrived = self._arrived(state, choice.to).after(then.q, then.clock - state.clock)
+        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=arrived)
+
+    def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
+        """Return the cost of the straight motions at both ends and of straight lines in joint space between them."""
+        assert isinstance(choice, Carry)
+        if state.world.moving:
+            return None  # harm depends on the time
+        found = motions.unavoidable(state.loaded(self.name, self.slots), self.name, choice.grasp, choice.to)
+        if isinstance(found, Refusal):
+            return found
+        cost, q = found
+        return Outlook(cost=cost, state=self._arrived(state, choice.to).after(q, 0.0))
+
+    def _arrived(self, state: JobState, X_WO: PoseKey) -> JobState:
+        """Return the state with the object at a pose, with everything on it."""
+        arrived, X_WT = state.moved(self.name, pose_of(X_WO)), pose_of(X_WO)
         for rider in state.on(self.name, self.slots):
             arrived = arrived.moved(rider, X_WT @ pose_of(self.slots[rider]))
-        arrived = arrived.after(then.q, then.clock - state.clock)
-        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=arrived)
+        return arrived
 
 
 class _ByTransport(Action):
@@ -172,6 +201,10 @@ class _ByTransport(Action):
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Carry the object."""
         return self._transport(state).motion(state, choice, motions)
+
+    def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
+        """Return the outlook of the transport."""
+        return self._transport(state).outlook(state, choice, motions)
 
 
 @final
@@ -314,10 +347,16 @@ class Closing(_ByTransport):
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Carry the lid to the vessel; both are one object afterwards."""
         deed = super().motion(state, choice, motions)
-        if isinstance(deed, Refusal):
-            return deed
-        then = deed.state.joined(self.vessel, self.name).with_contents(self.vessel, None)
-        return Deed(steps=deed.steps, state=then.knowing("joined", self.name))
+        return deed if isinstance(deed, Refusal) else replace(deed, state=self._closed(deed.state))
+
+    def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
+        """Return the outlook of carrying the lid to the vessel."""
+        ahead = super().outlook(state, choice, motions)
+        return replace(ahead, state=self._closed(ahead.state)) if isinstance(ahead, Outlook) else ahead
+
+    def _closed(self, state: JobState) -> JobState:
+        """Return the state in which lid and vessel are one object."""
+        return state.joined(self.vessel, self.name).with_contents(self.vessel, None).knowing("joined", self.name)
 
 
 @final

@@ -14,6 +14,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.job.actions import Action, Clear, Clearing, CloseLid, Closing, Hauling, Load, Loading, Transport
+from graceful_plan.job.bounds import sequence_bound
 from graceful_plan.job.job_result import JobResult, JobStatus, Step
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.jobs import Job, Where
@@ -40,8 +41,10 @@ Array = np.ndarray
 
 _GRASPS = 4
 """Default number of grasps of each object to choose from."""
-_SEARCHED = 0.7
-"""Share of the time limit for the search; the rest improves the motions of the best sequences."""
+_SEARCHED, _BOUNDED = 0.65, 0.75
+"""Shares of the time limit at which the search ends, and the lower bound is found; then motions are improved."""
+_LOOKED = 4
+"""Number of actions that the lower bound looks at for each planned one, if there is no time limit."""
 _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
 _CONTENDERS, _CONTENDERS_COST = 3, 1.5
@@ -77,7 +80,7 @@ def plan_job(
         w: Safety weight, as in `plan`.
         start: Configuration at the start; the keyframe "ready", else the middle of the joint ranges, by default.
         objective: Objective of all motions, as in `plan`.
-        grasps: Number of grasps of each object to choose from.
+        grasps: Number of grasps of each object to choose from; more are drawn if all of them are refused.
         time_limit: Time limit [s]; 20 by default, unlimited if `iterations` is given.
         iterations: Number of actions to plan. Without a time limit, the result then depends only on the seed.
         seed: Seed of all random numbers.
@@ -157,29 +160,36 @@ class JobSession:
             cost = _cost(node, self._objective.w)
             trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
 
+        def late(share: float) -> bool:
+            return budget.elapsed > budget.time_limit * share
+
         def over(planned: int) -> bool:
-            late = budget.elapsed > budget.time_limit * (1.0 if search.best is None else _SEARCHED)
-            return budget.cancelled() or late or (iterations is not None and planned >= iterations)
+            is_late = late(1.0 if search.best is None else _SEARCHED)
+            return budget.cancelled() or is_late or (iterations is not None and planned >= iterations)
 
         search.run(over, improved)
-        stats = {**motions.seconds, "actions": float(search.planned)}
         if search.best is None:
             status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
             if budget.cancelled():
                 status = JobStatus.CANCELLED
-            stats["total_time"] = budget.elapsed
-            return JobResult(status=status, detail=reasons(search), stats=stats, again=self.answer)
+            why = reasons(search)
+            return JobResult(status=status, detail=why, stats=_stats(search, budget), again=self.answer)
+        bound = sequence_bound(
+            search,
+            lambda looked: (
+                budget.cancelled() or late(_BOUNDED) or (iterations is not None and looked >= _LOOKED * iterations)
+            ),
+        )
         steps, cost = self._improved(search, budget, iterations)
         trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
-        stats["total_time"] = budget.elapsed
         return JobResult(
             status=JobStatus.SOLVED,
             steps=steps,
             cost=cost,
-            lower_bound=min(cost.total, self._straight_bound(search)),
+            lower_bound=min(cost.total, bound),
             exhaustive=search.exhausted and not search.unsure,
             trace=tuple(trace),
-            stats=stats,
+            stats=_stats(search, budget),
             again=self.answer,
         )
 
@@ -187,11 +197,6 @@ class JobSession:
         """Return a new search that shares choices and motions with earlier ones."""
         choices = self._choices
         return SequenceSearch(self._state, choices.goals, choices.actions, choices.motions, order)
-
-    def _straight_bound(self, search: SequenceSearch) -> float:
-        """Return the bound that holds for all motions, not only for those that were planned."""
-        start = Node(state=self._state)
-        return min((edge.least for edge in search.edges(start)), default=0.0)
 
     @cached_property
     def _choices(self) -> _Choices:
@@ -343,6 +348,13 @@ class JobSession:
         """Tell whether a motion may be better by another route: it is planned and no straight one without harm."""
         q = piece.trajectory.q
         return piece.label in ("transit", "carry") and piece.cost.total > 1.001 * float(np.linalg.norm(q[-1] - q[0]))
+
+
+def _stats(search: SequenceSearch, budget: Budget) -> dict[str, float]:
+    """Return what the time was used for [s], and the number of planned actions."""
+    parts, total = search.motions.seconds, budget.elapsed
+    rest = total - sum(parts.values())
+    return {**parts, "search": rest, "total_time": total, "actions": float(search.planned)}
 
 
 def _cost(node: Node, w: float) -> CostBreakdown:

@@ -69,8 +69,13 @@ class Step:
 class JobResult:
     """Result of `plan_job`. Without a solution it has no steps, and its cost is infinite.
 
-    `lower_bound` bounds the cost of every sequence over the same grasps, placements and configurations. It counts only
-    motion: the harm of a sequence is bounded by 0.
+    `lower_bound` bounds the cost of every sequence over the same grasps, placements and configurations. It counts the
+    straight motions at both ends of each transport with their harm, and straight lines in joint space between them;
+    with moving entities and with actions of one's own, only the lines.
+
+    `stats` are the seconds spent on grasps, "stances" (configurations and straight motions), "checks" (verifying and
+    pricing straight motions), "plan", which are the calls of `plan`, and "search", which is the rest of "total_time",
+    and the number of planned "actions".
     """
 
     status: JobStatus
@@ -84,6 +89,11 @@ class JobResult:
     stats: Mapping[str, float] = field(default_factory=dict)
     again: Callable[..., JobResult] | None = field(default=None, repr=False)
     """Plans the same job once more with other limits and in a given order; see `why`."""
+
+    @property
+    def gap(self) -> float:
+        """Largest share by which a sequence over the same choices may be cheaper; infinite without a solution."""
+        return 1.0 - self.lower_bound / self.cost.total if self.steps else float("inf")
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -130,7 +140,16 @@ class JobResult:
             return f"{self.status.name}: {self.status.value} {self.detail}".strip()
         gap = "compared with all sequences" if self.exhaustive else f"at least {self.lower_bound:.3g} is needed"
         head = f"cost {self.cost.total:.3g} ({gap}), {self.duration:.1f} s"
-        return "\n".join([head, *(f"  {step}" for step in self.steps)])
+        return "\n".join([head, *(f"  {step}" for step in self.steps), *self._times()])
+
+    def _times(self) -> list[str]:
+        """Return a line with the shares of the planning time."""
+        total = self.stats.get("total_time", 0.0)
+        if not total > 0.0:
+            return []
+        parts = ("grasps", "stances", "checks", "plan", "search")
+        told = ", ".join(f"{part} {100.0 * self.stats[part] / total:.0f} %" for part in parts)
+        return [f"  planned in {total:.1f} s: {told}"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

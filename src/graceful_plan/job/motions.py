@@ -10,8 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -22,6 +21,7 @@ from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
+from graceful_plan.job.placing import occupant
 from graceful_plan.job.still_base import reached_poses, straight_arm_motion
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.verification import verify
@@ -42,8 +42,8 @@ _STRAIGHT_DOWN = -0.99
 """Vertical component of an approach from which lifting and retreating are the same motion."""
 _GRIPPING = 0.5
 """Time in which the gripper opens or closes [s], at rest."""
-_SAMPLED = 3
-"""Grasps that are sampled for each one to choose from, because the arm does not reach all of them."""
+_TRIED = 32
+"""Largest number of sampled grasps of an object that are tried: the arm does not reach all of them."""
 _ITERATIONS = 6
 """Iterations of `plan` for a motion of a candidate sequence."""
 _AT_MOST = 4000
@@ -70,13 +70,14 @@ class JobMotion:
 class Refusal:
     """Reason why an action is not possible: the object, a sentence, and the bodies in the way.
 
-    `unsure` says that no motion was found in time, so that there may be one.
+    `unsure` says that no motion was found in time, so that there may be one; `by_any_grasp`, that no other grasp helps.
     """
 
     name: str
     why: str
     blockers: frozenset[str] = frozenset()
     unsure: bool = False
+    by_any_grasp: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,7 +100,7 @@ class Motions:
         movable: Bodies that the job may move.
         supports: Bodies on which each of them may stand, and which it may touch at the ends of a motion.
         given: Grasps of some of them, instead of sampled ones.
-        n_grasps: Number of grasps to sample of each.
+        n_grasps: Number of grasps of each that are searched at once; more follow if none of them leads further.
         q_home: Configuration near which stances are sought.
         seed: Seed of all random numbers.
         speed: Fraction of the velocity limits to use.
@@ -131,27 +132,37 @@ class Motions:
         """Return a lower bound of the cost of any motion between configurations."""
         return float(np.linalg.norm(goal - start)) if self.objective.motion == JointLength() else 0.0
 
-    def grasps(self, state: JobState, name: str) -> tuple[Grasp, ...]:
-        """Return the grasps of an object to choose from; a lid on it leaves others than before."""
-        key = ("grasps", self._world(state), name)
+    def sampled(self, state: JobState, name: str) -> Iterator[Grasp]:
+        """Yield the grasps of an object, given or sampled; a lid on it leaves others than before."""
+        if own := self.given.get(name):
+            yield from own
+            return
+        key = ("sampled", self._world(state), name)
         if key not in self._known:
-            began = time.perf_counter()
-            self._known[key] = self.given.get(name) or tuple(islice(self._reached(state, name), self.n_grasps))
-            self.seconds["grasps"] += time.perf_counter() - began
-        return self._known[key]  # type: ignore[return-value]
+            self._known[key] = ([], sampled_grasps(state.world, name, seed=self.seed))
+        kept, more = cast("tuple[list[Grasp], Iterator[Grasp]]", self._known[key])
+        for k in range(_TRIED):
+            if k == len(kept):
+                began = time.perf_counter()
+                drawn = next(more, None)
+                self.seconds["grasps"] += time.perf_counter() - began
+                if drawn is None:
+                    return
+                kept.append(drawn)
+            yield kept[k]
+
+    def grasps(self, state: JobState, name: str, to: Sequence[PoseKey]) -> Iterator[Grasp]:
+        """Yield the grasps of an object that reach it where it is and at any of some poses, without other things."""
+        here = pose_key(state.pose(name))
+        for grasp in self.sampled(state, name):
+            if self.configuration(state, name, grasp, here) is not None:
+                if any(self.configuration(state, name, grasp, X) is not None for X in to):
+                    yield grasp
 
     def _world(self, state: JobState) -> int:
         """Return the id of the world of a state, which is kept alive: keys contain ids."""
         self._worlds[id(state.world)] = state.world
         return id(state.world)
-
-    def _reached(self, state: JobState, name: str) -> Iterator[Grasp]:
-        """Yield sampled grasps of an object that the arm reaches where it is, if nothing else is there."""
-        alone, X_WO = state.parked(self._others(state, None)).scene(), state.pose(name)
-        for grasp in islice(sampled_grasps(state.world, name, seed=self.seed), _SAMPLED * self.n_grasps):
-            goal = PoseGoal(grasp.tool_at(X_WO))
-            if len(self.reached(goal, alone, self.q_home)):
-                yield grasp
 
     def reached(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], count: int = 1) -> Float[Array, "n nq"]:
         """Return configurations free of collision that bring the tool to a pose, the nearest first; possibly none."""
@@ -174,10 +185,10 @@ class Motions:
         return self._known[key]
 
     def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
-        """Return a configuration that holds an object at a pose; None if none is free, even without other things.
+        """Return a configuration that holds an object at a pose, without other things; None if none was found.
 
-        Where the object is now, it is near that at home; elsewhere it is near the one now, so that the arm need not
-        turn around on the way.
+        The arm also reaches the ends of the straight motions from there. Where the object is now, the configuration is
+        near that at home; elsewhere it is near the one now, so that the arm need not turn around on the way.
         """
         here = pose_key(state.pose(name))
         key = ("ik", self._world(state), name, id(grasp), X_WO, here)
@@ -185,9 +196,11 @@ class Motions:
             now = None if X_WO == here else self.configuration(state, name, grasp, here)
             near = self.q_home if now is None else now
             began = time.perf_counter()
-            held = self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
+            alone = self._alone(state, name)
+            held = alone.holding(name, grasp, self.supports.get(name, ()))
             found = self.reached(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
-            self._known[key] = found[0] if len(found) else None
+            is_usable = len(found) > 0 and self._leaves(found[0], alone, held, name, grasp)
+            self._known[key] = found[0] if is_usable else None
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
 
@@ -205,28 +218,28 @@ class Motions:
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
 
+    def _leaves(self, q: Float[Array, " nq"], alone: JobState, held: Scene, name: str, grasp: Grasp) -> bool:
+        """Tell whether the arm reaches the ends of the straight motions from a configuration that holds an object."""
+        if not any(len(self.reached(above, held, q)) for above in _lifts(q, held)):
+            return False
+        away, opened = _away(q, alone, held, name, grasp)
+        return away is None or len(self.reached(away, opened, q)) > 0
+
     def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
         alone = self._alone(state, name)
         held = alone.holding(name, grasp, self.supports.get(name, ()))
-        up, why = None, "out of reach"
-        for height in _LIFTS:
-            above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
-            if not len(self.reached(above, held, q)):
-                continue
-            result = straight_arm_motion(q, above, held, objective=self.objective, speed=self.speed)
-            up, why = result.trajectory, result.detail
-            if result.status is PlanStatus.SOLVED and up is not None:
-                break
+        up, why = None, ""
+        for above in _lifts(q, held):
+            if len(self.reached(above, held, q)):
+                result = straight_arm_motion(q, above, held, objective=self.objective, speed=self.speed)
+                up, why = result.trajectory, result.detail
+                if result.status is PlanStatus.SOLVED and up is not None:
+                    break
         else:
             return Refusal(name=name, why=f"{name!r} cannot be lifted there by this grasp: {why}")
-        X_WT = PoseGoal.from_tool(q, held).X_WT
-        way = X_WT[:3, :3] @ np.asarray(grasp.X_TO)[:3, :3] @ np.asarray(grasp.approach)
-        if way[2] < _STRAIGHT_DOWN:
+        away, opened = _away(q, alone, held, name, grasp)
+        if away is None:
             return _stance(q, up, up)
-        opened = alone.parked((name,)).scene(grasp.opening)
-        away = PoseGoal.from_tool(q, opened, translation=-_BACK * way)
-        if not len(self.reached(away, opened, q)):
-            return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: out of reach")
         back = straight_arm_motion(q, away, opened, objective=self.objective, speed=self.speed)
         if back.status is not PlanStatus.SOLVED:
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
@@ -235,7 +248,7 @@ class Motions:
     def _alone(self, state: JobState, name: str) -> JobState:
         return state.parked(self._others(state, name))
 
-    def _others(self, state: JobState, name: str | None) -> tuple[str, ...]:
+    def _others(self, state: JobState, name: str) -> tuple[str, ...]:
         return tuple(body for body in self.movable if body != name and ("joined", body) not in state.facts)
 
     def checked(self, label: str, name: str, scene: Scene, trajectory: Trajectory) -> JobMotion | Refusal:
@@ -339,36 +352,73 @@ class Motions:
         self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey
     ) -> tuple[list[JobMotion], list[JobMotion], JobState] | Refusal:
         """Plan to move an object to a pose: the pieces until it is lifted, those after, and the state then."""
-        here = pose_key(state.pose(name))
-        ends = []
-        for X in (here, X_WO):
-            stance = self.stance(state, name, grasp, X)
-            if isinstance(stance, Refusal):
-                return stance
-            ends.append(stance)
-        first, last = ends
-        opened, held = state.scene(grasp.opening), state.holding(name, grasp, self.supports.get(name, ()))
-        placed = state.moved(name, pose_of(X_WO))
-        free = placed.scene(grasp.opening)
+        ends = self._ends(state, name, grasp, X_WO)
+        if isinstance(ends, Refusal):
+            return ends
         # Cheap checks first: straight motions are given, the two others are planned.
-        steps: Sequence[Callable[[], JobMotion | Refusal]] = (
-            lambda: self.checked("approach", name, opened, first.approach),
-            lambda: self.checked("lift", name, held, first.lift),
-            lambda: self.checked("lower", name, held, last.lower),
-            lambda: self.checked("retreat", name, free, last.retreat),
-            lambda: self.planned("transit", name, state.scene(), state.q, first.retreat.q[-1]),
-            lambda: self.planned("carry", name, held, first.lift.q[-1], last.lift.q[-1]),
-        )
-        made = {}
-        for step in steps:
-            piece = step()
+        made = self._straight(state, name, grasp, X_WO, ends)
+        if isinstance(made, Refusal):
+            return made
+        first, last = ends
+        held = state.holding(name, grasp, self.supports.get(name, ()))
+        for label, scene, start, goal in (
+            ("transit", state.scene(), state.q, first.retreat.q[-1]),
+            ("carry", held, first.lift.q[-1], last.lift.q[-1]),
+        ):
+            piece = self.planned(label, name, scene, start, goal)
             if isinstance(piece, Refusal):
                 return piece
-            made[piece.label] = piece
-        before = [made["transit"], made["approach"], self.still("grip", opened, first.q), made["lift"]]
-        after = [made["carry"], made["lower"], self.still("release", free, last.q), made["retreat"]]
+            made[label] = piece
+        before = [made[label] for label in ("transit", "approach", "grip", "lift")]
+        after = [made[label] for label in ("carry", "lower", "release", "retreat")]
         seconds = sum(piece.trajectory.duration for piece in (*before, *after))
-        return before, after, placed.after(last.retreat.q[-1], seconds)
+        return before, after, state.moved(name, pose_of(X_WO)).after(last.retreat.q[-1], seconds)
+
+    def unavoidable(
+        self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey
+    ) -> tuple[float, Float[Array, " nq"]] | Refusal:
+        """Return a lower bound of the cost of moving an object to a pose, and the configuration afterwards."""
+        ends = self._ends(state, name, grasp, X_WO)
+        if isinstance(ends, Refusal):
+            return ends
+        made = self._straight(state, name, grasp, X_WO, ends)
+        if isinstance(made, Refusal):
+            return made
+        first, last = ends
+        lines = self.length(state.q, first.retreat.q[-1]) + self.length(first.lift.q[-1], last.lift.q[-1])
+        return sum(piece.cost.total for piece in made.values()) + lines, last.retreat.q[-1]
+
+    def _ends(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> tuple[Stance, Stance] | Refusal:
+        """Return the stances where an object is and where it goes."""
+        first = self.stance(state, name, grasp, pose_key(state.pose(name)))
+        if isinstance(first, Refusal):
+            return first
+        last = self.stance(state, name, grasp, X_WO)
+        return last if isinstance(last, Refusal) else (first, last)
+
+    def _straight(
+        self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey, ends: tuple[Stance, Stance]
+    ) -> dict[str, JobMotion] | Refusal:
+        """Return the motions at both ends of a transport, by label."""
+        first, last = ends
+        opened, held = state.scene(grasp.opening), state.holding(name, grasp, self.supports.get(name, ()))
+        free = state.moved(name, pose_of(X_WO)).scene(grasp.opening)
+        if (other := occupant(state.scene(), name, pose_of(X_WO))) is not None:
+            why = f"{name!r}: its place is taken by {other!r}"
+            return Refusal(name=name, why=why, blockers=frozenset({other}), by_any_grasp=True)
+        made = {}
+        for label, scene, trajectory in (
+            ("approach", opened, first.approach),
+            ("lift", held, first.lift),
+            ("lower", held, last.lower),
+            ("retreat", free, last.retreat),
+        ):
+            piece = self.checked(label, name, scene, trajectory)
+            if isinstance(piece, Refusal):
+                return piece
+            made[label] = piece
+        made["grip"], made["release"] = self.still("grip", opened, first.q), self.still("release", free, last.q)
+        return made
 
     def _blockers(self, scene: Scene, q: Float[Array, "n nq"]) -> frozenset[str]:
         model = scene.model
@@ -379,6 +429,23 @@ class Motions:
         touches = judge.violations(list(judge.touches(q)), len(q))
         met = {int(model.body_rootid[model.geom_bodyid[g]]) for t in touches for g in (t.first, t.second)}
         return frozenset(name for name, body in mine.items() if body in met and name != held)
+
+
+def _lifts(q: Float[Array, " nq"], held: Scene) -> list[PoseGoal]:
+    """Return the tool poses to which an object may be lifted, the most wanted first."""
+    return [PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height]) for height in _LIFTS]
+
+
+def _away(
+    q: Float[Array, " nq"], alone: JobState, held: Scene, name: str, grasp: Grasp
+) -> tuple[PoseGoal | None, Scene]:
+    """Return where the open gripper retreats, None if straight up as it lifts, and the scene of the retreat."""
+    opened = alone.parked((name,)).scene(grasp.opening)
+    X_WT = PoseGoal.from_tool(q, held).X_WT
+    way = X_WT[:3, :3] @ np.asarray(grasp.X_TO)[:3, :3] @ np.asarray(grasp.approach)
+    if way[2] < _STRAIGHT_DOWN:
+        return None, opened
+    return PoseGoal.from_tool(q, opened, translation=-_BACK * way), opened
 
 
 def _stance(q: Float[Array, " nq"], lift: Trajectory, back: Trajectory) -> Stance:

@@ -88,9 +88,7 @@ class Pour(Action):
             return
         if contents.volume > self._left(state.world, contents):
             here = pose_key(state.pose(self.name))
-            for grasp in motions.grasps(state, self.name):
-                if motions.configuration(state, self.name, grasp, here) is not None:
-                    yield grasp
+            yield from motions.grasps(state, self.name, [here])
 
     def _left(self, world: Scene, contents: Contents) -> float:
         """Return what stays in the vessel [litres]."""

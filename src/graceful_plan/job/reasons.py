@@ -20,20 +20,22 @@ def reasons(search: SequenceSearch) -> str:
 
 def _reason(goal: Transport, search: SequenceSearch) -> str | None:
     state, motions, name = search.start, search.motions, goal.name
-    grasps = motions.grasps(state, name)
-    if not grasps:
+    if next(motions.sampled(state, name), None) is None:
         return f"{name!r}: the gripper has no grasp of it"
     to = goal.poses(state)
     if not to:
         return f"{name!r}: there is no free placement"
     here = pose_key(state.pose(name))
-    if all(motions.configuration(state, name, grasp, here) is None for grasp in grasps):
+    if all(motions.configuration(state, name, grasp, here) is None for grasp in motions.sampled(state, name)):
+        if (other := occupant(state.scene(), name, pose_of(here))) is not None:
+            return f"{name!r}: it overlaps {other!r} where it stands"
         return f"{name!r}: the arm reaches no grasp of it where it stands"
     others = state.parked(tuple(body for body in motions.movable if body != name)).scene()
     taken = [occupant(others, name, pose_of(X)) for X in to]
     if all(taken):
         return f"{name!r}: its place is taken by {taken[0]!r}; allow Clear({taken[0]!r})"
     if not any(True for _ in goal.candidates(state, motions)):
+        grasps = motions.sampled(state, name)
         reached = any(motions.configuration(state, name, g, X) is not None for g in grasps for X in to)
         if not reached:
             return f"{name!r}: the arm reaches no placement of it"

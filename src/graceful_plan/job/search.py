@@ -1,11 +1,15 @@
-"""Search over sequences of actions: anytime, lazy, best first.
+"""Search over sequences of actions: anytime, lazy, best first, with dives.
 
 A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
 placement. Edges are planned only when they are the best left. They are ordered by an estimate: the known cost of
 carrying the same object between the same places, or else their lower bound times the mean ratio of costs to bounds.
 Each remaining object adds its least known cost with the same protection, such as closed lids, or else its least known
-motion cost. An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first
-sequence is complete, the deepest node comes first, and actions that meet a goal come before all others.
+motion cost. Of the choices of an action in a node, one at a time is open, so all orders are tried before all grasps.
+An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence.
+
+Until the first sequence is complete, the deepest node comes first, and actions that meet a goal come before all others.
+Grasps are drawn one by one until then. Later, the best edge is followed down to a complete sequence as long as its
+estimate is below the least known cost. If all choices of an action in a node are refused, more grasps are drawn.
 
 References:
     C. Dellin and S. Srinivasa, "A Unifying Formalism for Shortest Path Problems with Expensive Edge Evaluations via
@@ -19,12 +23,14 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby, islice
 
 import numpy as np
 
-from graceful_plan.job.actions import Action, Carry, Deed, Loading, Transport, Wait
+from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
+from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import JobState, pose_key
-from graceful_plan.job.motions import Motions, Refusal, added
+from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 
 _TIME_PRICE = 1e-3
 """Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
@@ -32,6 +38,8 @@ _FAR = 1e6
 """More than any cost, so that edges are ordered by depth first."""
 _ENDANGERED = 0.01
 """Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
+_CHEAP = 5
+"""Number of actions that are refused without planning, in about the time that a planned one takes."""
 _RATIO = 2.0
 """Ratio of cost to lower bound that is assumed before any edge is planned."""
 
@@ -45,23 +53,35 @@ class Node:
     cost: float = 0.0
 
 
+@dataclass(kw_only=True, eq=False)
+class Alternatives:
+    """The choices of an action in the state of a node."""
+
+    groups: Iterator[Sequence[Hashable]]
+    """Choices that are not drawn yet, by grasp; those without a grasp all at once."""
+    owed: int
+    """Number of grasps that are to be drawn at least."""
+    waiting: list[Edge] = field(default_factory=list)
+    """Edges that are drawn and not open yet."""
+    is_possible: bool = False
+    """Whether one of them was planned."""
+    needs_grasp: bool = False
+    """Whether one was refused that may be possible by another grasp."""
+    drawn: int = 0
+    """Number of choices that are drawn."""
+    refused: int = 0
+    """Number of them that are refused without planning, counted by `instead`."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edge:
-    """An action that is possible in the state of a node, not planned yet.
-
-    `bound` bounds its cost, and `missing` that of carrying each other object to its goal.
-    """
+    """An action that is possible in the state of a node, not planned yet; `bound` bounds its cost."""
 
     node: Node
     action: Action
     choice: Hashable
     bound: float
-    missing: Mapping[str, float]
-
-    @property
-    def least(self) -> float:
-        """Lower bound of the cost of all sequences with this edge."""
-        return self.node.cost + self.bound + sum(self.missing.values())
+    others: Alternatives
 
 
 @dataclass(eq=False)
@@ -84,83 +104,173 @@ class SequenceSearch:
     best: Node | None = None
     complete: list[Node] = field(default_factory=list)
     """Nodes of all complete sequences that were found."""
-    planned: int = 0
+    tried: int = 0
+    """Number of actions for which motions were planned."""
+    refused: int = 0
+    """Number of actions that were refused without that, and of waits."""
     refusals: dict[str, Refusal] = field(default_factory=dict)
     exhausted: bool = False
     """Whether no edges are left."""
     unsure: bool = False
     """Whether a motion was not found in time, so that there may be more sequences."""
     _open: list[tuple[float, int, Edge]] = field(default_factory=list)
+    _followed: set[int] = field(default_factory=set)
+    """Ids of open edges that were planned in a dive."""
     _carried: dict[Hashable, float] = field(default_factory=dict)
     _cheapest: dict[Hashable, float] = field(default_factory=dict)
     """Least cost of each goal object's transports that were planned, by protection; least motion cost for None."""
-    _ratios: list[float] = field(default_factory=list)
+    _ratios: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
+    """Sum and number of ratios of cost to bound, by object and protection; of motion cost for None."""
     _waited: dict[int, Node] = field(default_factory=dict)
     """Nodes by id in which waits are tried."""
+    _rests: dict[Hashable, Mapping[str, float]] = field(default_factory=dict)
+    """Lower bounds of carrying each missing object, by state."""
     _number: int = 0
 
     def run(self, over: Callable[[int], bool], improved: Callable[[Node], None] = lambda _: None) -> None:
         """Search until all sequences are compared, or `over` returns True, given the number of planned edges."""
         seen: dict[object, float] = {}
-        self._expand(Node(state=self.start), seen, improved)
-        while self._open:
+        reached = self._expand(Node(state=self.start), seen, improved)
+        while (edge := self._next(reached)) is not None:
             if over(self.planned):
+                self._push(edge)
                 return
-            _, _, edge = heapq.heappop(self._open)
-            if self.best is not None and edge.least >= self.best.cost:
-                continue
-            node = self.child(edge)
+            reached = []
+            node = None
+            if self._may_pay(edge):
+                node = self.child(edge)
+                edge.others.is_possible = edge.others.is_possible or node is not None
+            self._open_next(edge)
             if node is not None:
-                self._push(self._waits(edge.node, node))
-                self._expand(node, seen, improved)
+                if waits := self._waits(edge.node, node):
+                    self._start(edge.node, waits)
+                reached = self._expand(node, seen, improved)
         self.exhausted = True
+
+    def _may_pay(self, edge: Edge) -> bool:
+        """Tell whether an edge may lead to a cheaper sequence."""
+        return self.best is None or self.least(edge) < self.best.cost
+
+    def _next(self, reached: Sequence[Edge]) -> Edge | None:
+        """Return the edge to plan next: the best of a node just reached if it is promising, or of all that are open."""
+        if self.best is not None and reached:
+            estimate, edge = min(((self._estimate(edge), edge) for edge in reached), key=lambda pair: pair[0])
+            if estimate < self.best.cost:
+                self._followed.add(id(edge))
+                return edge
+        while self._open:
+            known, _, edge = heapq.heappop(self._open)
+            if id(edge) in self._followed:
+                self._followed.discard(id(edge))
+                continue
+            # Estimates grow as costs become known.
+            if self.best is not None and self._open and self._estimate(edge) > max(known, self._open[0][0]):
+                self._push(edge)
+                continue
+            return edge
+        return None
+
+    @property
+    def planned(self) -> int:
+        """Number of planned actions, to which refused ones and waits count by the time that they take."""
+        return self.tried + self.refused // _CHEAP
 
     @property
     def lower_bound(self) -> float:
         """The least cost that a sequence over the choices at hand can have."""
-        least = min((edge.least for _, _, edge in self._open), default=float("inf"))
+        left = (edge for _, _, first in self._open for edge in (first, *first.others.waiting))
+        # The bounds of choices that are not drawn yet are unknown.
+        least = min((self.least(edge) - edge.bound * (edge.others.owed > 0) for edge in left), default=float("inf"))
         return least if self.best is None else min(least, self.best.cost)
+
+    def least(self, edge: Edge) -> float:
+        """Return a lower bound of the cost of all sequences with an edge, over the choices that are drawn first."""
+        return edge.node.cost + edge.bound + self.remaining(edge.node, but=edge.action.name)
+
+    def remaining(self, node: Node, *, but: str = "") -> float:
+        """Return a lower bound of carrying all objects to their goals, but one."""
+        return sum(least for name, least in self._missing(node).items() if name != but)
+
+    def instead(self, edge: Edge, refusal: Refusal) -> Sequence[Edge]:
+        """Return the edges of further grasps if the last of the alternatives of an edge is refused."""
+        others = edge.others
+        others.refused, others.needs_grasp = others.refused + 1, others.needs_grasp or not refusal.by_any_grasp
+        if others.refused < others.drawn or not others.needs_grasp:
+            return []
+        return self._drawn(edge.node, edge.action, others, self.motions.n_grasps)
 
     def child(self, edge: Edge) -> Node | None:
         """Plan an edge; return the node that it leads to, or None if the action is not possible."""
-        self.planned += not isinstance(edge.action, Wait)  # which needs no planning
         deed = edge.action.motion(edge.node.state, edge.choice, self.motions)
+        is_cheap = isinstance(edge.action, Wait) or (isinstance(deed, Refusal) and not deed.unsure)
+        self.tried, self.refused = self.tried + (not is_cheap), self.refused + is_cheap
         if isinstance(deed, Refusal):
+            edge.others.needs_grasp = edge.others.needs_grasp or not deed.by_any_grasp
             self.refusals[deed.name] = deed
             self.unsure = self.unsure or deed.unsure
             return None
         pieces = [piece for _, _, some in deed.steps for piece in some]
         seconds = sum(piece.trajectory.duration for piece in pieces)
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
-        transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
-        self._carried[self._memory(edge)] = cost - transit
-        if edge.action in self.goals:
-            name, motion = edge.action.name, sum(piece.cost.motion for piece in pieces)
-            for known, value in (((name, self._protection(edge.node.state)), cost), ((name, None), motion)):
-                self._cheapest[known] = min(value, self._cheapest.get(known, np.inf))
-        if edge.bound > 0.0:
-            self._ratios.append(cost / edge.bound)
+        self._learn(edge, pieces, cost)
         return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
+
+    def _learn(self, edge: Edge, pieces: Sequence[JobMotion], cost: float) -> None:
+        """Remember what the estimates of other edges need."""
+        held = [piece.trajectory.q[0] for piece in pieces if piece.label in ("grip", "release")]
+        carry = self.motions.length(held[0], held[-1]) if held else edge.bound
+        transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
+        self._carried[self._memory(edge)] = cost - transit - carry
+        name, protection = edge.action.name, self._protection(edge.node.state)
+        motion = sum(piece.cost.motion for piece in pieces)
+        for known, value in (((name, protection), cost), ((name, None), motion)):
+            if edge.action in self.goals:
+                self._cheapest[known] = min(value, self._cheapest.get(known, np.inf))
+            if edge.bound > 0.0:
+                total, count = self._ratios.get(known, (0.0, 0))
+                self._ratios[known] = total + value / edge.bound, count + 1
 
     def edges(self, node: Node, actions: Sequence[Action] | None = None) -> Iterator[Edge]:
         """Yield the actions, by default all, that are possible in the state of a node."""
-        missing = self._missing(node.state)
-        for action in self.actions if actions is None else actions:
+        for some in self._alternatives(node, self.actions if actions is None else actions, self.motions.n_grasps):
+            yield from some
+
+    def _alternatives(self, node: Node, actions: Sequence[Action], grasps: int) -> Iterator[Sequence[Edge]]:
+        """Yield the edges of each action, with a number of grasps."""
+        for action in actions:
             if not self._in_order(node.state, action):
                 continue
-            rest = {name: least for name, least in missing.items() if name != action.name}
-            for choice in action.candidates(node.state, self.motions):
-                bound = action.bound(node.state, choice, self.motions)
-                yield Edge(node=node, action=action, choice=choice, bound=bound, missing=rest)
+            others = Alternatives(
+                groups=_by_grasp(action.candidates(node.state, self.motions)), owed=self.motions.n_grasps
+            )
+            yield self._drawn(node, action, others, grasps)
+
+    def _drawn(self, node: Node, action: Action, others: Alternatives, grasps: int) -> Sequence[Edge]:
+        """Return the edges of the next choices."""
+        groups = list(islice(others.groups, grasps))
+        others.owed = max(others.owed - grasps, 0) if len(groups) == grasps else 0
+        others.drawn += sum(len(group) for group in groups)
+        return [
+            Edge(
+                node=node,
+                action=action,
+                choice=choice,
+                bound=action.bound(node.state, choice, self.motions),
+                others=others,
+            )
+            for group in groups
+            for choice in group
+        ]
 
     def is_complete(self, state: JobState) -> bool:
         """Tell whether all goals are met and no action is due."""
         met = all(goal.is_done(state) for goal in self.goals)
         return met and not any(action.is_due(state) for action in self.actions)
 
-    def _expand(self, node: Node, seen: dict[object, float], improved: Callable[[Node], None]) -> None:
+    def _expand(self, node: Node, seen: dict[object, float], improved: Callable[[Node], None]) -> Sequence[Edge]:
+        """Open edges of a node unless its state was reached at less cost; return the edges."""
         if node.cost >= seen.get(node.state.key, float("inf")):
-            return
+            return []
         seen[node.state.key] = node.cost
         if self.is_complete(node.state):
             self.complete.append(node)
@@ -171,11 +281,38 @@ class SequenceSearch:
                     self._open = [(self._estimate(edge), k, edge) for _, k, edge in self._open]
                     heapq.heapify(self._open)
                 improved(node)
-            return
-        self._push(self.edges(node, [action for action in self.actions if not isinstance(action, Wait)]))
+            return []
+        return self._start(node, [action for action in self.actions if not isinstance(action, Wait)])
 
-    def _waits(self, node: Node, child: Node) -> Iterator[Edge]:
-        """Yield waits before an action that endangers moving entities, once for each node.
+    def _start(self, node: Node, actions: Sequence[Action]) -> Sequence[Edge]:
+        """Open an edge of each action that is possible in a node; return the edges."""
+        opened = []
+        grasps = 1 if self.best is None else self.motions.n_grasps
+        for some in self._alternatives(node, actions, grasps):
+            if some:
+                opened.append(self._opened(some))
+        return opened
+
+    def _opened(self, edges: Sequence[Edge]) -> Edge:
+        """Open the most promising of some alternatives; the others wait."""
+        best = min(edges, key=self._estimate)
+        best.others.waiting = [edge for edge in edges if edge is not best]
+        self._push(best)
+        return best
+
+    def _open_next(self, edge: Edge) -> None:
+        """Open the next alternative of a planned or discarded edge."""
+        others, edges = edge.others, edge.others.waiting
+        if others.owed and (self.best is not None or not edges):
+            grasps = others.owed if self.best is not None else 1
+            edges = [*edges, *self._drawn(edge.node, edge.action, others, grasps)]
+        elif others.needs_grasp and not (edges or others.is_possible) and self._may_pay(edge):
+            edges = self._drawn(edge.node, edge.action, others, self.motions.n_grasps)
+        if edges:
+            self._opened(edges)
+
+    def _waits(self, node: Node, child: Node) -> Sequence[Wait]:
+        """Return waits before an action that endangers moving entities, once for each node.
 
         A wait before an action that endangers none is no better than the same wait after it.
         """
@@ -187,13 +324,13 @@ class SequenceSearch:
             )
             if self.motions.objective.w * harm > _ENDANGERED * (child.cost - node.cost):
                 self._waited[id(node)] = node
-                yield from self.edges(node, waits)
+                return waits
+        return []
 
-    def _push(self, edges: Iterator[Edge]) -> None:
-        for edge in edges:
-            self._number += 1
-            ahead = 0.0 if self.best is not None else _FAR * (2 * len(edge.node.deeds) + (edge.action in self.goals))
-            heapq.heappush(self._open, (self._estimate(edge) - ahead, self._number, edge))
+    def _push(self, edge: Edge) -> None:
+        self._number += 1
+        ahead = 0.0 if self.best is not None else _FAR * (2 * len(edge.node.deeds) + (edge.action in self.goals))
+        heapq.heappush(self._open, (self._estimate(edge) - ahead, self._number, edge))
 
     def _in_order(self, state: JobState, action: Action) -> bool:
         if action.name not in self.order or not any(action is goal for goal in self.goals):
@@ -201,32 +338,62 @@ class SequenceSearch:
         earlier = self.order[: self.order.index(action.name)]
         return all(goal.is_done(state) for goal in self.goals if goal.name in earlier)
 
-    def _missing(self, state: JobState) -> dict[str, float]:
-        """Return a lower bound of carrying each object that is not at its goal yet."""
+    def _missing(self, node: Node) -> Mapping[str, float]:
+        """Return a lower bound of carrying each object that is not at its goal yet; found when it is first needed."""
+        state = node.state
+        if state.key in self._rests:
+            return self._rests[state.key]
         found = {}
         for goal in self.goals:
             if goal.is_done(state):
                 continue
-            by_tray = any(isinstance(action, Loading) and action.name == goal.name for action in self.actions)
-            if by_tray or goal.onto is not None or goal.slots:
-                found[goal.name] = 0.0  # a tray may bring both close together, and has other grasps when it is loaded
+            if self._is_changeable(goal):
+                found[goal.name] = 0.0  # a tray, for example, may bring both close together
             else:
-                ends = (goal.ends(state, choice, self.motions) for choice in goal.candidates(state, self.motions))
+                groups = islice(_by_grasp(goal.candidates(state, self.motions)), self.motions.n_grasps)
+                ends = (goal.ends(state, choice, self.motions) for group in groups for choice in group)
                 # Without a candidate, it may be possible after a regrasp.
                 found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
+        self._rests[state.key] = found
         return found
 
+    def _is_changeable(self, goal: Transport) -> bool:
+        """Tell whether another action may move an object or its goal, or change how it is reached."""
+        if goal.onto is not None or goal.slots:
+            return True
+        for action in self.actions:
+            if action is goal or isinstance(action, Wait):
+                continue
+            is_known = isinstance(action, Transport | Loading | Hauling | Clearing | Closing)
+            is_vessel = isinstance(action, Closing) and action.vessel == goal.name
+            if not is_known or action.name == goal.name or is_vessel:
+                return True
+        return False
+
     def _estimate(self, edge: Edge) -> float:
-        ratio = sum(self._ratios) / len(self._ratios) if self._ratios else _RATIO
-        known = self._carried.get(self._memory(edge))
         # What clears the way, or closes a lid, may free the motions that follow of all harm.
         is_usual = edge.action in self.goals or isinstance(edge.action, Wait)
-        protection = self._protection(edge.node.state) if is_usual else None
+        protection = self._protection(edge.node.state)
         rest = 0.0
-        for name, least in edge.missing.items():
-            motion = self._cheapest.get((name, None), ratio * least)
-            rest += self._cheapest.get((name, protection), motion)
-        return edge.node.cost + (ratio * edge.bound if known is None else known) + rest
+        # Until a sequence is complete, only edges of equal depth are compared.
+        missing = {} if self.best is None else self._missing(edge.node)
+        for name, least in missing.items():
+            if name == edge.action.name:
+                continue
+            motion = self._cheapest.get((name, None), self._ratio(name, None) * least)
+            rest += self._cheapest.get((name, protection), motion) if is_usual else motion
+        known = self._carried.get(self._memory(edge))
+        own = edge.bound * self._ratio(edge.action.name, protection) if known is None else known + edge.bound
+        return edge.node.cost + own + rest
+
+    def _ratio(self, name: str, protection: Hashable) -> float:
+        """Return the mean ratio of cost to lower bound of an object's transports, or of all if none is known."""
+        for known in ((name, protection), (name, None)):
+            if known in self._ratios:
+                total, count = self._ratios[known]
+                return total / count
+        every = list(self._ratios.values())
+        return sum(total for total, _ in every) / sum(count for _, count in every) if every else _RATIO
 
     def _protection(self, state: JobState) -> Hashable:
         """Return a key of the bodies that were cleared and the lids that were closed."""
@@ -240,3 +407,14 @@ class SequenceSearch:
             return id(edge.action), edge.choice
         here, protection = pose_key(edge.node.state.pose(edge.action.name)), self._protection(edge.node.state)
         return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, protection
+
+
+def _by_grasp(choices: Iterator[Hashable]) -> Iterator[Sequence[Hashable]]:
+    """Yield groups of choices with the same grasp; those without a grasp are one group."""
+    for _, group in groupby(choices, key=_grasp_of):
+        yield list(group)
+
+
+def _grasp_of(choice: Hashable) -> int | None:
+    grasp = choice.grasp if isinstance(choice, Carry) else choice
+    return id(grasp) if isinstance(grasp, Grasp) else None
