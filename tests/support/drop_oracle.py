@@ -300,5 +300,7 @@ def slow_details(scene, settings, q, qd):
             H = max(H, chance * (1.0 - sum(mass) * (1.0 - smooth((tl - ts) / 0.067))))
         if t["owner"] >= 0:
             P[t["owner"]] = max(P[t["owner"]], 1.0 - (1.0 - t["C"]) * (1.0 - t["G"]) * (1.0 - H))
+    for e in range(len(P)):
+        P[e] = max(P[e], sum(t["F"] for t in T if t["owner"] == e))
     details = dict(levels=levels, pushed=pushed, mass=mass, leaving=leaving, low=low, hs=hs, c=c, v=v, w=w, data=data)
     return np.array([t["F"] for t in T]), P, details

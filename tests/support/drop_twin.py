@@ -52,9 +52,12 @@ def dropped(batch: gp.StateBatch, settings: DropSettings | None = None) -> Dropp
     C = _contact(flight)
     G, H = _falls(flight, constants, landing), _sides(flight, constants, landing, state, C)
     hit = 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H)
+    first = np.zeros_like(entity)
     for k, owner in enumerate(tables.target_entity):
         if owner >= 0:
             np.maximum(entity[:, owner], hit[:, k], out=entity[:, owner])
+            first[:, owner] += flight.F[:, k]
+    np.maximum(entity, first, out=entity)
     return Dropped(first=flight.F, contact=C, hit=hit, entity=entity)
 
 

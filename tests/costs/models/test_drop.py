@@ -186,6 +186,19 @@ def test_tops_of_one_height_are_met_together():
     np.testing.assert_allclose(found.first[0, :2], 0.5, atol=0.02)
 
 
+def test_an_entity_of_many_parts_is_hit_as_often_as_first_impacts_are_on_it():
+    bars = "".join(
+        f'<geom name="bar{k}" type="box" size="0.01 0.2 0.02" pos="{0.07 * k - 0.21} 0 {0.001 * k}"/>' for k in range(7)
+    )
+    rack = {"rack": (0.0, 0.0, 0.1, f'type="box" size="0.001 0.001 0.001"/>{bars[:-2]}')}
+    scene = gantry(rack, shape="ball")
+    found = drop(scene, [0.0, 0.0, -0.1, 0.0])
+    assert found.hit.max() < 0.87
+    on_rack = found.first[0, drop_tables(scene).target_entity == 0].sum()
+    assert found.entity[0, 0] == pytest.approx(on_rack, abs=1e-12)
+    assert on_rack > 0.9
+
+
 # --- sides in the way -------------------------------------------------------------------------------------------------
 
 _BEHIND = {"behind": (0.8, 0.0, 0.05, 'type="box" size="0.25 0.3 0.05"')}

@@ -246,6 +246,26 @@ def test_gradient_is_the_finite_difference(name):
             _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)
 
 
+def test_gradient_where_the_parts_of_an_entity_share_the_first_impact():
+    bars = "".join(f'<geom type="box" size="0.01 0.2 0.02" pos="{0.07 * k - 0.21} 0 0"/>' for k in range(7))
+    text = f"""<mujoco><worldbody><body name="rack" pos="0 0 0.1">{bars}</body>
+      <body name="arm" pos="0 0 0.5"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <joint name="x" type="slide" axis="1 0 0" range="-0.3 0.3"/>
+        <joint name="y" type="slide" axis="0 1 0" range="-0.3 0.3"/><joint name="turn" axis="0 0.3 1" range="-1 1"/>
+        <geom type="sphere" size="0.01"/><site name="tool" pos="0 0 -0.1"/></body>
+      <body name="ball" pos="3 3 1"><freejoint/><geom type="sphere" size="0.04"/></body></worldbody></mujoco>"""
+    scene = gp.Scene.from_mjcf(
+        text, robot="arm", tool="tool", velocity=[1.0] * 3, acceleration=[1.0] * 3, entities={"rack": "robust"}
+    ).attach("ball", X_TO=np.eye(4))
+    q, qd = _states(scene, 60, seed=3)
+    found = dropped(moving_batch(scene, q, qd))
+    on_rack = drop_tables(scene).target_entity == 0
+    assert (found.hit[:, on_rack].max(axis=1) < found.entity[:, 0] - 1e-3).sum() > 10
+    kernel = drop_kernel(scene, SETTINGS)
+    np.testing.assert_allclose(kernel.probability(q, qd)[:, 0], found.entity, atol=_P)
+    _check_gradient(kernel, q, qd, np.ones((len(ROWS), 1)), own=0.0)
+
+
 @pytest.mark.parametrize("name", first_quick(gp.scenes()))
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_single_precision_changes_little(name, isa):

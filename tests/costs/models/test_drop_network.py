@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from drop_twin import dropped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -79,11 +80,13 @@ def by_numpy(network: DropNetwork, scene: gp.Scene, q: Array, qd: Array) -> Arra
     seen = np.broadcast_to(looks(tables), (*plain.shape, len(LOOKS)))
     shape = np.broadcast_to(np.eye(len(SHAPE_CLASSES))[tables.shape_class], (*plain.shape, len(SHAPE_CLASSES)))
     P = corrected(plain, network.log_factor(told, seen, shape))
-    found = np.zeros((len(q), len(scene.entities)))
+    F = dropped(moving_batch(scene, q, qd)).first
+    found = np.zeros((2, len(q), len(scene.entities)))
     for k, entity in enumerate(tables.target_entity):
         if entity >= 0:
-            found[:, entity] = np.maximum(found[:, entity], P[:, k])
-    return found
+            found[0, :, entity] = np.maximum(found[0, :, entity], P[:, k])
+            found[1, :, entity] += F[:, k]
+    return found.max(axis=0)
 
 
 # --- the kernel -------------------------------------------------------------------------------------------------------

@@ -72,6 +72,8 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
   const Leaving<V> leaving(drop, landing);
   const SideImpact<V> brunt(flight, landing);
   V lower = landing.landed;  // sum of F over this level and all lower ones
+  V F[kMaxEntities];         // P that the first impact is on the entity
+  for (int e = 0; e < drop.n_entity; ++e) F[e] = V{};
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing<V>);
     if (own && tumbles) loss.enter(tumble);
@@ -83,12 +85,14 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
       if (!wanted) continue;
       V H = brunt.on(flight, k);
       if (sweeps) H = maximum(H, sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)));
+      F[s.entity] += landing.share[l] * landing.overlap[k];
       P[s.entity] = maximum(P[s.entity], hit_of(drop, flight, landing, leaving, k, {C, G, H}, lower));
     }
     tumble.leave(drop, landing, l);
     if (own) loss.leave(drop, landing, l, tumble, first_damage(drop, flight, landing, l));
     lower -= landing.first[l];
   }
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = maximum(P[e], F[e]);
   hits_to_damage(drop, flight, P);
   return probable(loss.probability);
 }
@@ -181,13 +185,14 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   const Sweep<V> sweep(drop, flight, landing);
   const Leaving<V> leaving(drop, landing);
   const SideImpact<V> brunt(flight, landing);
-  V G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
+  V G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities],
+      F[kMaxEntities];
   Point2<V> drift[kMaxSurfaces];
   const bool own = own_matters(drop, severity);
   OwnLoss<V> loss;
   OwnLossSlope<V> d_own(severity[kDropRows * drop.n_entity]);
   V left = landing.landed;
-  for (int e = 0; e < drop.n_entity; ++e) P[e] = V{};
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = F[e] = V{};
   for (int l = 0; l < drop.n_level; ++l) {
     mass[l] = tumble.mass, drift[l] = tumble.drift, lower[l] = left;
     const bool tumbles = tumble.enter(drop);
@@ -202,6 +207,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
       if (s.entity < 0 || severity[s.entity] == 0.0) continue;
       hit[k] = hit_of(drop, flight, landing, leaving, k, {C, G[k], H[k]}, left);
       P[s.entity] = maximum(P[s.entity], hit[k]);
+      F[s.entity] += landing.share[l] * landing.overlap[k];
     }
     tumble.leave(drop, landing, l);
     if (own) loss.leave(drop, landing, l, tumble, d_own.damaged[l] = first_damage(drop, flight, landing, l));
@@ -213,10 +219,13 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   TumbleSlope<V> d_tumble;
   SweepSlope<V> d_sweep;
   LeavingSlope<V> d_leaving;
-  // open: severities of entities whose largest P has not been found yet.
-  V open[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
+  // d_F: severities of entities whose P is the sum of F; open: of the others, until the surface with the largest P.
+  V open[kMaxEntities], d_F[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
+  for (int e = 0; e < drop.n_entity; ++e)
+    d_F[e] = where(F[e] > P[e], V{} + 1.0, V{}), P[e] = maximum(P[e], F[e]);
   V impact = damage_impact(drop, flight, severity, P, open, back.d_flight);
   if (own) impact += probable(loss.probability) * d_own.severity;
+  for (int e = 0; e < drop.n_entity; ++e) d_F[e] *= open[e], open[e] -= d_F[e];
   V d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {
     d_lowers[l] = V{};
@@ -224,6 +233,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
       const Surface& s = drop.surface[k];
       d_G[k] = V{};
       if (s.entity < 0 || severity[s.entity] == 0.0) continue;
+      d_landing.lands[k] += d_F[s.entity];
       const auto greatest = hit[k] == P[s.entity];
       const V d = where(greatest, open[s.entity], V{}), C = landing.contact[k];
       open[s.entity] = where(greatest, V{}, open[s.entity]);

@@ -98,7 +98,8 @@ kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows
       H_k = max(0, sum of F over this level and lower ones - C_k) S((zs + high - low - bottom_k)/sh) times these two
       for the target of the blocking side: H_k = max(H_k, E (1 - sum of F (1 - c((tl - ts)/0.067))))
 
-    Together: P_k = 1 - (1 - C_k)(1 - G_k)(1 - H_k);  P(entity) = max over its targets, 0 if it has none
+    Together: P_k = 1 - (1 - C_k)(1 - G_k)(1 - H_k);  P(entity) = max over its targets of P_k, but at least the sum of
+      their F_k, because first impacts exclude each other; 0 if it has none
 
     5. Own loss; ln e_k = strength, sd = spread of the tables, b = LANDING_LOSS; only the vertical speed does damage
       Q(z) = 1/(1 + exp(e(-z (1.5976 + 0.07056 z^2))))             the normal distribution function [1]
