@@ -81,7 +81,7 @@ class _Events:
         if (tag := getattr(event, "tag", None)) is not None:
             raise self._error(event, f"the tag {tag} is not read")
         if isinstance(event, yaml.ScalarEvent):
-            return event.value if event.style else _scalar(event.value)
+            return event.value if event.style else scalar_value(event.value)
         if isinstance(event, yaml.SequenceStartEvent):
             return self._list(depth + 1)
         return self._mapping(depth + 1)
@@ -109,8 +109,8 @@ class _Events:
         return FormatError(self._source, f"{problem} (line {event.start_mark.line + 1})")
 
 
-def _scalar(text: str) -> Any:
-    """Return the value of a scalar without quotes."""
+def scalar_value(text: str) -> Any:
+    """Return the value of a scalar without quotes, by the core schema of YAML 1.2."""
     if text in _WORDS:
         return _WORDS[text]
     if len(text) > _LONGEST_NUMBER:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -40,6 +40,7 @@ def same(a: gp.Trajectory, b: gp.Trajectory) -> None:
 
 @settings(max_examples=15)
 @given(made=samples())
+@example(made=(*(np.zeros((1, 1)[:n]) for n in (1, 2, 2, 2)), ("0E0",)))
 def test_every_form_survives_a_round_trip(made, tmp_path_factory):
     trajectory = gp.Trajectory(*made)
     file = tmp_path_factory.mktemp("forms") / "t"

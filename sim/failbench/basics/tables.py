@@ -47,14 +47,16 @@ ROLLOUTS = (
     Column("whole_impact", "double", "", "the same with all hits before the onset, each pair once; null if diverged"),
     Column("own_loss", "double", "", "severity of the carried object's loss times P(it is damaged); null if diverged"),
     Column("energy_impact", "double", "", "observed_impact, times P(damage at that energy); null if diverged"),
-    Column("secondary_impact", "double", "", "severities of what only other entities touched; null if diverged"),
+    Column(
+        "secondary_impact", "double", "", "severities of entities that only other entities touched; null if diverged"
+    ),
     Column("dropped", "bool", "", "whether the carried object left the gripper; null if diverged"),
-    Column("spilled", "double", "", "lost fraction of what the container held at the onset; null if diverged"),
+    Column("spilled", "double", "", "lost fraction of the container's contents at the onset; null if diverged"),
     Column("contacts", "int64", "", "rows of this rollout in the table of contacts"),
     Column("fell", "list<string>", "", "entities that ended more than 5 cm lower than they began"),
     Column("tipped", "list<string>", "", "entities that ended more than 30 degrees off their initial axis"),
-    Column("left_support", "list<string>", "", "entities that ended without touching what they stood on"),
-    Column("poses", "poses", "m", "final pose in the world of what can move: unit quaternion wxyz, then xyz"),
+    Column("left_support", "list<string>", "", "entities that ended without touching their initial support"),
+    Column("poses", "poses", "m", "final pose in the world of each free body: unit quaternion wxyz, then xyz"),
     Column(
         "state", "list<double>", "", "if it diverged: MuJoCo's integration state at the onset, for replay; else null"
     ),
@@ -63,7 +65,7 @@ ROLLOUTS = (
 CONTACTS = (
     Column("rollout", "int64", "", "number of the rollout"),
     Column("striker", "string", "", "body, carried, contents, or the entity that was knocked onto the other"),
-    Column("entity", "string", "", "what was touched"),
+    Column("entity", "string", "", "the entity that was touched"),
     Column("secondary", "bool", "", "whether the striker is an entity"),
     Column("time", "double", "s", "first touch, after the onset"),
     Column("x", "double", "m", "where, in the world"),
