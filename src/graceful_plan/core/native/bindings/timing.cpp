@@ -202,8 +202,7 @@ void bind_timing(nb::module_& m) {
         "acceleration"_a);
   m.def("fastest", &fastest, nb::kw_only(), "step"_a, "q"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a,
         "acceleration"_a, "limit"_a = nb::none(), "core"_a.none() = nb::none(),
-        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0, "start"_a = nb::none(),
-        "end"_a = nb::none());
+        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0, "start"_a = nb::none(), "end"_a = nb::none());
 }
 
 }  // namespace gp

@@ -221,8 +221,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   LeavingSlope<V> d_leaving;
   // d_F: severities of entities whose P is the sum of F; open: of the others, until the surface with the largest P.
   V open[kMaxEntities], d_F[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
-  for (int e = 0; e < drop.n_entity; ++e)
-    d_F[e] = where(F[e] > P[e], V{} + 1.0, V{}), P[e] = maximum(P[e], F[e]);
+  for (int e = 0; e < drop.n_entity; ++e) d_F[e] = where(F[e] > P[e], V{} + 1.0, V{}), P[e] = maximum(P[e], F[e]);
   V impact = damage_impact(drop, flight, severity, P, open, back.d_flight);
   if (own) impact += probable(loss.probability) * d_own.severity;
   for (int e = 0; e < drop.n_entity; ++e) d_F[e] *= open[e], open[e] -= d_F[e];

@@ -301,8 +301,8 @@ class MotionDescent {
     SpeedPenalty too_fast, too_slow;
     if (start_speed_ > 0) too_fast = lack(kSpeedRoom * start, profile_.reachable(), push_ * scale_);
     if (end_speed_ > 0) too_slow = lack(end, fastest.back(), push_ * scale_);
-    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) +
-                           too_fast.value + too_slow.value;
+    const double penalty =
+        collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) + too_fast.value + too_slow.value;
     felt_.back_slosh(squared_, weight, d_squared_, d_pause_);
     if (moves) delay();
     for (size_t k = 0; k + 1 < samples; ++k) {
@@ -317,8 +317,8 @@ class MotionDescent {
       d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // from now on with respect to the squared largest speed
     }
     d_speed_.back() += too_slow.by_feasible;
-    const SpeedProfile::EndSlopes d_end = profile_.back(
-        curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()}, too_fast.by_feasible);
+    const SpeedProfile::EndSlopes d_end =
+        profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()}, too_fast.by_feasible);
     // The logarithm of `start` has the same derivative as that of kSpeedRoom times it.
     if (start_speed_ > 0) back_squared(start, too_fast.by_log / start + d_end.start, at_.slope.data(), d_.slope.data());
     if (end_speed_ > 0) back_squared(end, too_slow.by_log / end + d_end.end, last_slope(at_), last_slope(d_));

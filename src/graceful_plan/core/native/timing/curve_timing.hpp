@@ -5,9 +5,9 @@
 // therefore come in levels, from boldest to most careful; if the surface still swings too far at a level, the whole
 // motion is slowed down. The fastest motion of all levels is the result.
 //
-// A motion may begin or end with a given speed. It cannot be slowed down as a whole then, so the result is that of the first
-// level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again with limits
-// that are as much tighter.
+// A motion may begin or end with a given speed. It cannot be slowed down as a whole then, so the result is that of the
+// first level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again with
+// limits that are as much tighter.
 #pragma once
 #include "core.hpp"
 #include "timing/felt.hpp"
@@ -39,8 +39,8 @@ class CurveTiming {
 
   // Times a curve through `q`, with further limits on each interval [n, further, 3], at a share of the speed. Unless
   // the curve stops at its beginning (end), the motion starts (ends) with a velocity of size `start` (`end`).
-  bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed,
-           double start, double end) {
+  bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed, double start,
+           double end) {
     start_ = curve.stop[0] ? SpeedProfile::kUnbounded : squared(start / speed, curve.slope, curve.dim);
     const double* last = curve.slope + (2 * curve.n - 1) * curve.dim;
     end_ = curve.stop[curve.n] ? SpeedProfile::kUnbounded : squared(end / speed, last, curve.dim);
