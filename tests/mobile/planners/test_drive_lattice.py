@@ -10,6 +10,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
 from hall import BASE, hall
+from jackals import jackal
 
 MOVES = [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)]
 MOVES += [(-x, -y) for x, y in MOVES]
@@ -129,3 +130,11 @@ def test_where_no_lattice_has_a_path_the_floor_is_searched():
     paths, _ = solve(hall(), [-4, 0, 0], [[4, 0, 0]], max_nodes=100)
     assert paths and rolls(paths[-1])
     np.testing.assert_allclose(paths[-1].q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("planner", ["auto", "drive_lattice", "floor_theta_star"])
+def test_a_base_drives_where_there_is_nothing_else(planner):
+    scene = jackal()
+    result = gp.plan([0.0, 0.0, 0.0], [3.0, 2.0, 1.0], scene, planner=planner, iterations=20)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert gp.verify(result.trajectory, scene).passed

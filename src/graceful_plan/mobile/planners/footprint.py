@@ -26,13 +26,16 @@ _FLOOR = 0.03
 def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 3"], float]:
     """Return discs in the frame of the base that cover the robot in a posture, seen from above, and its height [m].
 
-    The robot's spheres are divided along the heading, and each part gets the disc around its box.
+    The robot's spheres are divided along the heading, and each part gets the disc around its box. A robot that nothing
+    can collide with has no spheres, and is a point.
     """
     robot = compile_scene(scene).robot
     at = np.concatenate([np.zeros(BASE), q[BASE:]])
     poses = compile_scene(scene).kernels.link_poses(at)
     link, spheres = np.asarray(robot.sphere_link), np.asarray(robot.sphere)
     own = np.asarray(link) > 0
+    if not own.any():
+        return np.zeros((1, 3)), 0.0
     centre = np.einsum("sij,sj->si", poses[link, :3, :3], spheres[:, :3]) + poses[link, :3, 3]
     centre, radius = centre[own], spheres[own, 3]
     low, high = float((centre[:, 0] - radius).min()), float((centre[:, 0] + radius).max())
