@@ -64,10 +64,10 @@ def to_message(
 
 def to_yaml(message: Mapping[str, Any]) -> str:
     """Return a message as YAML for `ros2 topic pub` and `ros2 action send_goal`."""
-    return yaml.dump(dict(message), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=1_000_000)
+    return yaml.dump(dict(message), Dumper=_QuotingDumper, sort_keys=False, default_flow_style=None, width=1_000_000)
 
 
-class _Dumper(yaml.SafeDumper):
+class _QuotingDumper(yaml.SafeDumper):
     """Also quotes texts that are numbers by YAML 1.2 only, such as 1e3."""
 
 
@@ -76,7 +76,7 @@ def _text_node(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if is_text else "'")
 
 
-_Dumper.add_representer(str, _text_node)
+_QuotingDumper.add_representer(str, _text_node)
 
 
 def from_message(
