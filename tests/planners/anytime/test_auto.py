@@ -19,7 +19,7 @@ from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
 from sizes import first_quick
 
-ITERATIONS = 250
+ITERATIONS = 500
 
 
 @pytest.fixture(scope="module")
