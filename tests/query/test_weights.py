@@ -14,7 +14,7 @@ _ROUNDING = 2e-3
 
 def _costs(scene: str, task: str, weights: tuple[float, ...]) -> dict[float, gp.CostBreakdown]:
     asked = gp.load_scene(scene).tasks[task]
-    found = {w: gp.plan(asked.start, asked.goal, asked.scene, w=w, iterations=60, seed=0) for w in weights}
+    found = {w: gp.plan(asked.start, asked.goal, asked.scene, w=w, iterations=240, seed=0) for w in weights}
     assert all(result.cost.w == w for w, result in found.items())
     return {w: result.cost for w, result in found.items()}
 

@@ -97,8 +97,8 @@ def test_beside_and_not_above_is_no_hit(stacks):
 @pytest.mark.parametrize("name", first_quick(gp.scenes()))
 def test_three_transcriptions_agree(name):
     task = next(iter(gp.load_scene(name).tasks.values()))
-    q = np.random.default_rng(5).uniform(*task.scene.limits.position.T, (6, len(task.scene.joints)))
-    q = np.concatenate([q, np.linspace(task.start, task.goal[0], 4)])
+    q = np.random.default_rng(5).uniform(*task.scene.limits.position.T, (15, len(task.scene.joints)))
+    q = np.concatenate([q, np.linspace(task.start, task.goal[0], 5)])
     pairs = [(component, entity) for component in ("body", "carried") for entity in task.scene.entities]
     found = np.array([_by_all(task.scene, q, *pair) for pair in pairs])
     assert ((found > 0.0) & (found < 1.0)).sum() > 10

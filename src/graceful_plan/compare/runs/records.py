@@ -110,12 +110,12 @@ class Run:
         """
         return cubics(self.times, self.path, self.velocities, joints) if self.times else None
 
-    def totals_at(self, seconds: ArrayLike) -> Float[Array, "*time"]:
+    def totals_at(self, seconds: ArrayLike | float) -> Float[Array, "*time"]:
         """Return the total cost of the best path at times; infinite without a path or a verified result."""
         trace = self.trace if self.solved else ()
         times = np.array([point.time for point in trace])
         totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
-        return totals[np.searchsorted(times, seconds, side="right")]
+        return np.asarray(totals[np.searchsorted(times, seconds, side="right")])
 
     def to_json(self) -> str:
         """Return one line of strict JSON; non-finite numbers become null."""
