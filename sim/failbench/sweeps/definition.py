@@ -208,7 +208,7 @@ class Sweep:
             faults = tuple(dict(fault.items()) for fault in document["faults"])
             values = {name: document[name] for name in own - {"motions", "settings", "faults"}}
             return cls(motions=motions, settings=settings, faults=faults, **values)
-        except (TypeError, AttributeError, RecursionError) as error:
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise FormatError(source, f"a value of the wrong type: {error}") from None
 
     @classmethod
