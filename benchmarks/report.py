@@ -14,7 +14,9 @@ INDEX_HEAD = """# Results
 
 One file per benchmark, written by `python benchmarks/run.py SUBJECT --write`. Each file names its commit, date, machine
 and command. "Figure" is one target of the benchmark; "all targets" counts those that are reached. Targets that are
-missed stay in the tables. `make bench-stale` lists the results that are older than the code they measure.
+missed stay in the tables. "Long" links results of larger sizes (`--long`), "bound" what the best of many motions
+attains (`--bound`); both take hours and may be of an older commit. `make bench-stale` lists the results that are older
+than the code they measure.
 """
 _COLUMNS = ("benchmark", "question", "figure", "target", "reached", "all targets", "commit")
 _TARGETS = ("target", "wanted", "measured", "met")
@@ -153,7 +155,9 @@ def index_row(name: str, question: str, headline: str, text: str) -> tuple[str, 
     reached = f"{sum(row[3] == 'yes' for row in rows)} of {len(rows)}" if rows else "-"
     commit = commit_of(text)
     named = commit if commit == "unknown" else f"`{commit}`"
-    return f"[{name}]({name}.md)", question, figure, wanted, met, reached, named
+    others = [kind for kind in ("long", "bound") if file_of(f"{name}_{kind}").exists()]
+    links = ", ".join([f"[{name}]({name}.md)", *(f"[{kind}]({name}_{kind}.md)" for kind in others)])
+    return links, question, figure, wanted, met, reached, named
 
 
 def index(rows: Mapping[str, Sequence[str]]) -> str:

@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(f"\n{text}", flush=True)
         if args.write:
-            write(f"{name}_bound" if args.bound else name, text)
+            write(name + ("_bound" if args.bound else "") + ("_long" if args.long else ""), text)
     return failed
 
 
@@ -183,7 +183,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("subjects", nargs="*", type=_subject, metavar="subject", help=", ".join(SUBJECTS))
     parser.add_argument("--quick", action="store_true", help="small sizes: only checks that the benchmark runs")
     parser.add_argument("--long", action="store_true", help="large sizes, hours in all; see benchmarks/README.md")
-    parser.add_argument("--write", action="store_true", help="write results/SUBJECT.md and its row of the index")
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help="write results/SUBJECT.md, with --long results/SUBJECT_long.md, and the index",
+    )
     parser.add_argument("--stale", action="store_true", help="list results that are older than the code they measure")
     parser.add_argument(
         "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one per core)"

@@ -38,7 +38,7 @@ DEPENDS_ON = (
 STORE = Path(__file__).resolve().parents[1] / "job_runs"
 W = 1.0
 """Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
-VARIANTS, LONG_VARIANTS = 3, 6
+VARIANTS, LONG_VARIANTS = 2, 6
 FAILURES = 400
 FIRST, EIGHT = 3.0, 10.0
 """Wanted times to a first complete plan with at most three, and with eight objects [s]."""

@@ -20,7 +20,7 @@ QUESTION = "How much less harm do failing mobile robots cause at the default wei
 HEADLINE = "harm per executed task at the default w"
 DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "src/graceful_plan/mobile", "sim/failbench/mobile")
 PEOPLE, HORIZON, SECONDS, SEED = 12, 3.0, 5.0, 2016
-SIZES, LONG_SIZES = (10, 4, 6), (20, 8, 16)
+SIZES, LONG_SIZES = (6, 3, 4), (20, 8, 16)
 """Generated floors, and failures per fault of floors and of bundled tasks, in normal and long runs."""
 RESAMPLES = 1000
 """Bootstrap samples of an interval."""

@@ -47,7 +47,7 @@ SEED = 77
 TASKS = ("tabletop/green_to_blue", "unseen/bedside/bring_water")
 BLOCK = 3
 """Episodes per job and fault."""
-WANTED, LONG_WANTED = 18, 500
+WANTED, LONG_WANTED = 12, 500
 """Episodes per fault and controller on all tasks together, in normal and long runs."""
 SEVERE = "*/*/severe"
 STORE = Path(__file__).resolve().parents[1] / "policy_runs"

@@ -65,9 +65,9 @@ def run(options: suite.Options) -> str:
         for limit in LIMITS
         for w in WEIGHTS
     }
-    three = range(options.pick(3, quick=1))
-    timed = {(name, t): [_call(name, seed, time_limit=t) for seed in three] for name in names for t in TIMES}
-    until = {name: [_call(name, seed, stop="converged", time_limit=5.0) for seed in three] for name in names}
+    few = range(options.pick(2, quick=1, long=3))
+    timed = {(name, t): [_call(name, seed, time_limit=t) for seed in few] for name in names for t in TIMES}
+    until = {name: [_call(name, seed, stop="converged", time_limit=5.0) for seed in few] for name in names}
     seconds, best_seeds = options.pick(BEST, quick=(0.5, (101,)), long=LONG_BEST)
     longest = {name: seconds if name in household else min(seconds, TABLE_BEST) for name in names}
     long = {name: [_call(name, seed, time_limit=longest[name]) for seed in best_seeds] for name in names}

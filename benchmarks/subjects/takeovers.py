@@ -21,7 +21,8 @@ QUESTION = (
 )
 HEADLINE = "takeovers with a velocity step"
 DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/replanning.py")
-COUNT, BASE_COUNT = 1000, 120
+COUNTS, LONG_COUNTS = (240, 24), (1000, 120)
+"""Takeovers of arms and of a base, in normal and long runs."""
 TASKS = (
     "tabletop/lift_to_goal",
     "tabletop/green_to_blue",
@@ -78,10 +79,9 @@ class Takeover:
 
 def run(options: suite.Options) -> str:
     """Measure takeovers, in turn of each task and speed."""
-    seeds = range(options.pick(COUNT, quick=len(TASKS) * len(SPEEDS)))
-    found = list(suite.spread(takeover, seeds, options.processes, "takeovers"))
-    seeds = range(options.pick(BASE_COUNT, quick=len(FLOORS)))
-    found += suite.spread(base_takeover, seeds, options.processes, "takeovers of a base")
+    arms, bases = options.pick(COUNTS, quick=(len(TASKS) * len(SPEEDS), len(FLOORS)), long=LONG_COUNTS)
+    found = list(suite.spread(takeover, range(arms), options.processes, "takeovers"))
+    found += suite.spread(base_takeover, range(bases), options.processes, "takeovers of a base")
     return f"{report.targets(targets(found))}\n{MEASURED}\n{table(found)}"
 
 

@@ -15,7 +15,9 @@ from benchmarks import report
 from benchmarks import run as runner
 
 FILES = sorted(
-    file.stem for file in report.RESULTS.glob("*.md") if file != report.INDEX and not file.stem.endswith("_bound")
+    file.stem
+    for file in report.RESULTS.glob("*.md")
+    if file != report.INDEX and not file.stem.endswith(("_bound", "_long"))
 )
 SOURCES = [file for folder in ("src", "sim") for file in (ROOT / folder).rglob("*") if file.suffix in (".py", ".yaml")]
 CITATION = re.compile(r"benchmarks/results/\w+\.md")
@@ -68,12 +70,15 @@ _TARGETS = (
 )
 
 
-def test_a_row_of_the_index_comes_from_the_file():
+def test_a_row_of_the_index_comes_from_the_file(tmp_path, monkeypatch):
     text = report.document("Title", "Why?", _HEAD, f"Text.\n\n{report.targets(_TARGETS)}\n| a | b | c | d |\n")
     assert report.commit_of(text) == "0123abcd"
+    monkeypatch.setattr(report, "RESULTS", tmp_path)
     row = report.index_row("kernels", "Why?", "gap", text)
     assert row == ("[kernels](kernels.md)", "Why?", "gap: 3", "<= 1", "**no**", "1 of 2", "`0123abcd`")
     assert report.index_row("kernels", "Why?", "speed", text)[2] == "speed, a|b: 2"
+    report.file_of("kernels_long").write_text(text)
+    assert report.index_row("kernels", "Why?", "gap", text)[0] == "[kernels](kernels.md), [long](kernels_long.md)"
     with pytest.raises(ValueError, match="kernels: no target and no figure begins with 'harm'"):
         report.index_row("kernels", "Why?", "harm", text)
 
