@@ -198,11 +198,6 @@ def load(name: str) -> gp.Scene:
     return _with_tasks(gp.Scene.build(spec, notes), base, variant, rng)
 
 
-def task_names(name: str) -> list[str]:
-    """Return the names of a variant's tasks."""
-    return list(load(name).tasks)
-
-
 def problems(scene: gp.Scene) -> list[str]:
     """Return the errors of a scene: objects in each other, or out of reach."""
     data = _at_home(scene)

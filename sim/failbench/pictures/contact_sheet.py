@@ -25,12 +25,11 @@ from failbench.recording.records import Rollout, RolloutRequest
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Array, Float, UInt8
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Array = np.ndarray
 
 SCENE, TASK = "tabletop", "lift_to_goal"
 DEGREE = "critical"

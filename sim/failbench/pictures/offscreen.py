@@ -19,10 +19,8 @@ import mujoco
 import numpy as np
 
 from failbench.basics.errors import NoPicture
-from graceful_plan.array_types import Bool, Float, UInt8
+from graceful_plan.array_types import Array, Bool, Float, UInt8
 from graceful_plan.exceptions import UnknownNameError
-
-Array = np.ndarray
 
 Mark = Callable[[Any], None]
 """Adds geoms to an MjvScene."""

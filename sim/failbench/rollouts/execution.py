@@ -23,12 +23,10 @@ from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_
 from failbench.simulated.stiction import SURFACE, Stiction
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import real_array
 from graceful_plan.scene.fingers import gap_between
-
-Array = np.ndarray
 
 LONGEST = 200.0
 """Longest motion and horizon [s]; states and commands of all steps are kept in memory."""

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.constraints.base_limits import base_limits
 from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
@@ -36,8 +36,6 @@ from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.retiming import retime, timed
 from graceful_plan.timing.topp import Restraint, SpecificForceLevels
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _CAREFUL = 0.6
 """Fraction of the brim tilt that the specific force may use in searches and first descents; sloshing gets the rest."""

@@ -24,12 +24,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.timing.blend import CurveGrid
 
-Array = np.ndarray
 InverseDynamics = Callable[[Array, Array, Array], Array]
 """Maps (q, qd, qdd) to joint torques [N m]."""
 Restraint = Callable[[CurveGrid], Array]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.setting_checks import finite
 
 
 def check_ranges(values: Mapping[str, float], *, positive: Collection[str], not_negative: Collection[str]) -> None:
@@ -15,8 +15,7 @@ def check_ranges(values: Mapping[str, float], *, positive: Collection[str], not_
         SettingError: For the first constant that is not.
     """
     for name, value in values.items():
-        if not math.isfinite(value):
-            raise SettingError(name, value, "a finite number")
+        finite(name, value)
         if name in positive and value <= 0.0:
             raise SettingError(name, value, "a positive number")
         if name in not_negative and value < 0.0:

@@ -14,7 +14,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.mobile.floor.reeds_shepp import Steering, shortest_curves
 from graceful_plan.planners.interruptible import checked_costs
@@ -22,7 +22,6 @@ from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.ompl.session import quiet
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals
 
-Array = np.ndarray
 Pose = tuple[float, float, float]
 
 _SLICE_SECONDS = 0.02

@@ -18,13 +18,12 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from graceful_plan.array_types import Array
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.planner import Budget
-
-Array = np.ndarray
 
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
@@ -18,8 +18,6 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
 """Distances by which a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops there."""

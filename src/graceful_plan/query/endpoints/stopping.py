@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
@@ -19,8 +19,6 @@ from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 _SHORTEST = 1e-3
 """Least length of a straight stop [rad]: timing merges vertices that are closer than 1e-5."""

@@ -150,7 +150,11 @@ def read_urdf(
     meshes = {mesh.get("filename", "") for mesh in root.iterfind("link/collision/geometry/mesh")}
     if root.find("link/collision/geometry") is None:
         raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
-    named = None if decompose is None or isinstance(decompose, bool) else _meshes_of(root, decompose)
+    if isinstance(decompose, Collection):
+        of_links = _meshes_of(root, decompose)
+        divided, closely = {mesh: mesh in of_links for mesh in meshes}, True
+    else:
+        divided, closely = dict.fromkeys(meshes, decompose), False
     assets: dict[str, bytes] = {}
     parts: dict[str, list[str]] = {}
     if isinstance(packages, Mapping):
@@ -163,10 +167,7 @@ def read_urdf(
         weight += mesh_weight(content, ending)
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
-        if named is not None:
-            found = _in_parts(content, ending, name, name in named, closely=True)
-        else:
-            found = _in_parts(content, ending, name, bool(decompose) if decompose is not None else None)
+        found = _in_parts(content, ending, name, divided[name], closely=closely)
         stem = _ODD.sub("_", Path(name).stem)[:60]  # for messages about the mesh
         parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
@@ -247,7 +248,7 @@ def _meshes_of(root: ET.Element, links: Collection[str]) -> set[str]:
 
 
 def _in_parts(
-    content: bytes, ending: str, name: str, decompose: bool | None, *, closely: bool = False
+    content: bytes, ending: str, name: str, decompose: bool | None, *, closely: bool
 ) -> list[tuple[bytes, str]]:
     """Return contents and suffixes of the mesh files that replace a mesh: its convex parts, or the mesh itself."""
     if decompose is False:
