@@ -29,6 +29,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.topp import EndSpeeds
 
 MODELS = {"mixture": gp.ImpactCost(), "box_overlap": gp.ImpactCost(model="box_overlap")}
 
@@ -153,7 +154,7 @@ def test_descents_keep_the_direction_of_a_moving_end_and_become_fast_enough_for_
     np.testing.assert_allclose(last / np.linalg.norm(last), arriving / np.linalg.norm(arriving), atol=1e-9)
     assert one.speed_room >= 1.0
     speed = float(np.linalg.norm(arriving))
-    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, end_speed=speed)
+    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, ends=EndSpeeds(end=speed))
     np.testing.assert_allclose(trajectory.qd[-1], arriving, atol=1e-9)
     assert one.duration == pytest.approx(trajectory.duration, rel=0.05)
 
@@ -166,7 +167,7 @@ def test_descents_keep_the_direction_of_a_moving_start_and_become_slow_enough_fo
     np.testing.assert_allclose(first / np.linalg.norm(first), leaving / np.linalg.norm(leaving), atol=1e-9)
     assert one.speed_room >= 1.0
     speed = float(np.linalg.norm(leaving))
-    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, start_speed=speed)
+    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, ends=EndSpeeds(start=speed))
     np.testing.assert_allclose(trajectory.qd[0], leaving, atol=1e-9)
     assert one.duration == pytest.approx(trajectory.duration, rel=0.05)
 

@@ -16,6 +16,8 @@ from graceful_plan.scene.elements import Limits
 from graceful_plan.setting_checks import not_negative, positive_fraction
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import (
+    AT_REST,
+    EndSpeeds,
     InverseDynamics,
     Restraint,
     SpecificForceLevels,
@@ -95,8 +97,7 @@ def retime(
         inverse_dynamics=inverse_dynamics,
         restraint=restraint,
         felt=felt,
-        start_speed=start_speed,
-        end_speed=end_speed,
+        ends=EndSpeeds(start_speed, end_speed),
     )
 
 
@@ -109,12 +110,11 @@ def timed(
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
-    start_speed: float = 0.0,
-    end_speed: float = 0.0,
+    ends: EndSpeeds = AT_REST,
 ) -> Trajectory:
     """Time a curve as fast as the limits allow; arguments and errors as in `retime`."""
     _check_limits(limits, joints)
-    for name, size in (("start_speed", start_speed), ("end_speed", end_speed)):
+    for name, size in (("start_speed", ends.start), ("end_speed", ends.end)):
         not_negative(name, size, "a finite speed of at least 0 rad/s")
         if size and inverse_dynamics is not None:
             raise SettingError(name, size, "0 with torque limits: toppra times from rest to rest")
@@ -134,11 +134,10 @@ def timed(
                 limit=limit,
                 felt=felt,
                 speed=speed,
-                start_speed=start_speed,
-                end_speed=end_speed,
+                ends=ends,
             )
         except RetimingError:
-            if not (start_speed or end_speed) or density == _FINEST:
+            if ends == AT_REST or density == _FINEST:
                 raise
             continue  # on a finer grid, a motion with a given speed at an end needs less room below the limits
         if found.excess <= ACCEPTED_SLOWDOWN:

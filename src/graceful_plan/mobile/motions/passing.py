@@ -21,6 +21,7 @@ from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
 from graceful_plan.query.request import Request
 from graceful_plan.query.via.legs import one_after_the_other
+from graceful_plan.timing.topp import EndSpeeds
 from graceful_plan.timing.trajectory import State, Trajectory
 
 _SLOWEST = 0.05
@@ -86,7 +87,7 @@ def passing_motions(stop: Trajectory, onward: Trajectory, request: Request) -> I
             continue
         size = (1.0 - _RESERVE) * float(np.linalg.norm(begun.qd))
         try:
-            driven = request.constraints.timed(Drive((curve,)), speed=request.speed, start_speed=size)
+            driven = request.constraints.timed(Drive((curve,)), speed=request.speed, ends=EndSpeeds(start=size))
         except RetimingError:
             continue
         yield one_after_the_other([_between(driven, begun, end), after])

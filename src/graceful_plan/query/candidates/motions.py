@@ -45,9 +45,7 @@ class Motion:
 def timed_curve(found: DescentResult, request: Request) -> Motion | None:
     """Time the curve of a descent; return None if no timing satisfies the constraints."""
     try:
-        trajectory = request.constraints.timed(
-            found.curve, speed=request.speed, start_speed=request.start_speed, end_speed=request.end_speed
-        )
+        trajectory = request.constraints.timed(found.curve, speed=request.speed, ends=request.end_speeds)
     except RetimingError:
         return None
     motion = costed(trajectory.path, trajectory, found.start.arrival, request)
@@ -110,13 +108,7 @@ def price_of_time(request: Request) -> float:
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline with its corners cut by up to `deviation` [rad]."""
-    trajectory = request.constraints.retimed(
-        whole,
-        deviation=deviation,
-        speed=request.speed,
-        start_speed=request.start_speed,
-        end_speed=request.end_speed,
-    )
+    trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed, ends=request.end_speeds)
     return costed(whole, trajectory, arrival, request)
 
 
