@@ -6,6 +6,7 @@ Each returns the setting as a Python number, or raises SettingError with its nam
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real, is_whole
@@ -61,3 +62,17 @@ def count(name: str, value: object, least: int = 1, most: int = MOST) -> None:
         raise SettingError(name, value, f"an integer >= {least}")
     if value > most:
         raise SettingError(name, value, f"an integer <= {most}")
+
+
+def check_ranges(values: Mapping[str, float], *, positive: Collection[str], not_negative: Collection[str]) -> None:
+    """Check that constants are finite and within their ranges.
+
+    Raises:
+        SettingError: For the first constant that is not.
+    """
+    for name, value in values.items():
+        finite(name, value)
+        if name in positive and value <= 0.0:
+            raise SettingError(name, value, "a positive number")
+        if name in not_negative and value < 0.0:
+            raise SettingError(name, value, "at least 0")

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.body.tables import ROWS
-from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
-from graceful_plan.setting_checks import finite, not_negative, positive
+from graceful_plan.setting_checks import check_ranges, finite, not_negative, positive
 from graceful_plan.yaml_file import Block, YamlTable
 
 GENERATORS = ("collapse", "joint", "stuck", "stray")

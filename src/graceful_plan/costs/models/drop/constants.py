@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
-from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.path import plain_numbers
-from graceful_plan.setting_checks import fraction
+from graceful_plan.setting_checks import check_ranges, fraction
 from graceful_plan.yaml_file import Block, YamlTable
 
 SHARED = (
