@@ -58,7 +58,7 @@ class Annotation:
         plain_numbers(self)
         if not (is_real(self.fragility) and 0.0 < self.fragility <= MOST_FRAGILITY):
             raise SettingError("fragility", self.fragility, f"a number above 0 and at most {MOST_FRAGILITY:g}")
-        fraction("significance", self.significance)
+        fraction("significance", self.significance, "a number from 0 to 1")
         row = {name: check_severity(f"severity of {name}", value) for name, value in self.severity.items()}
         object.__setattr__(self, "severity", MappingProxyType(row))
 
