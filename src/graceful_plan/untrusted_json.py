@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from types import UnionType
+from types import NoneType
 from typing import Any
 
 from graceful_plan.exceptions import FormatError
@@ -14,13 +14,14 @@ MOST_VALUES = 10_000_000
 """Largest number of values of a document; Python needs some 40 bytes for each, however few bytes it has in the text."""
 MOST_DEPTH = 100
 """Greatest depth of nested lists and objects, far below the depth at which recursion fails."""
-_KINDS = {
+_KINDS: Mapping[type, str] = {
     int: "a whole number",
     float: "a number",
     bool: "true or false",
     str: "text",
     list: "a list",
     dict: "an object",
+    NoneType: "null",
 }
 
 
@@ -71,8 +72,8 @@ def check_keys(source: str, document: Any, expected: set[str]) -> None:
             raise FormatError(source, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")
 
 
-def check_form(source: str, document: Any, form: Mapping[str, type | UnionType]) -> None:
-    """Check that a document is an object with exactly these keys, and values of these types.
+def check_form(source: str, document: Any, form: Mapping[str, type | tuple[type, ...]]) -> None:
+    """Check that a document is an object with exactly these keys, and values of these types, or of one of several.
 
     Raises:
         FormatError: If it is not.
@@ -82,5 +83,5 @@ def check_form(source: str, document: Any, form: Mapping[str, type | UnionType])
         value = document[key]
         fits = is_real(value) if kind is float else is_whole(value) if kind is int else isinstance(value, kind)
         if not fits:
-            expected = _KINDS.get(kind) or " or ".join(_KINDS.get(one, "null") for one in kind.__args__)
+            expected = " or ".join(_KINDS[one] for one in (kind if isinstance(kind, tuple) else (kind,)))
             raise FormatError(source, f"{key} has to be {expected}, not {value!r:.100}")

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from types import NoneType
 from typing import Any, get_type_hints
 
 import graceful_plan as gp
@@ -26,8 +27,8 @@ _SCHEMA = "failbench.sweep"
 _VERSION = 1
 _FORM = {"schema": str, "version": int, "motions": list, "faults": list, "settings": dict}
 _FORM |= {"rollouts": int, "horizon": float, "seed": int}
-_MOTION = {"name": str, "scene": str, "task": str | None, "grasp": str | None}
-_MOTION |= {"plan": dict | None, "trajectory": dict | None}
+_MOTION = {"name": str, "scene": str, "task": (str, NoneType), "grasp": (str, NoneType)}
+_MOTION |= {"plan": (dict, NoneType), "trajectory": (dict, NoneType)}
 """Types of the values of a document, and of a motion in it."""
 
 CHUNK = 32
