@@ -60,7 +60,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.spill.constants import SpillSettings
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
+from graceful_plan.mobile.floor.files.moving_ai import read_scenarios
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.urdf.srdf import read_srdf
 from graceful_plan.viewer.opening import asked
@@ -383,7 +383,7 @@ def write_maps(folder: Path) -> None:
     floor = gp.OccupancyGrid(occupancy=occupancy, resolution=0.1, origin=(1.0, -1.0, 0.3))
     floor.save(folder / "floor.yaml")
     floor.save_moving_ai(folder / "floor.map")
-    write_scenarios(folder / "floor.scen", [MovingAIScenario((0, 0), (11, 8), 15.5)] * 9, "floor.map", (9, 12))
+    (folder / "floor.scen").write_text("version 1\n" + "3\tfloor.map\t12\t9\t0\t8\t11\t0\t15.5\n" * 9)
     text = (folder / "floor.yaml").read_text()
     (folder / "scale.yaml").write_text(text.replace("floor.pgm", "scale.pgm").replace("trinary", "scale"))
     (folder / "scale.pgm").write_text("P2\n# plain\n12 9\n1000\n" + "\n".join(map(str, range(0, 972, 9))) + "\n")

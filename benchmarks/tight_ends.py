@@ -12,8 +12,6 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
 
-Array = np.ndarray
-
 _DRAWN, _TIGHT = 1500, 40
 """Configurations drawn per scene and distribution, and tight configurations tried among these."""
 _AROUND = 0.08

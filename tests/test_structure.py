@@ -39,6 +39,7 @@ BASICS = {
     "lazy_imports",
     "path",
     "regular_file",
+    "setting_checks",
     "untrusted_json",
     "untrusted_yaml",
     "yaml_file",

@@ -17,8 +17,6 @@ from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobResult, JobStatus
 from graceful_plan.job.search import Node, SequenceSearch
 
-Array = np.ndarray
-
 OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
     "ours",
     "w = 0",

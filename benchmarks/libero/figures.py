@@ -13,8 +13,6 @@ from benchmarks.libero.runs import ENERGY, HEAVY, MODELS, NONE, OBJECTIVES, OURS
 from benchmarks.prevention.harm_curves import Typical, floored, typical
 from failbench.calibrations import skill
 
-Array = np.ndarray
-
 CONTACT, BY_ENERGY = "contact", "energy"
 """How contacts count: in full, or weighted by the probability of damage at their energy."""
 MOST = 40

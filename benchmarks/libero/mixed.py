@@ -15,6 +15,7 @@ from benchmarks import report
 from benchmarks.libero.runs import NONE, OURS, SEED, SPEED, held_by
 from benchmarks.libero.scenes import NoTransport, transport
 from benchmarks.prevention.harm_curves import floored, typical
+from benchmarks.prevention.runs import least_severity
 from benchmarks.store import read_lines
 from failbench.validation import chosen_faults
 
@@ -92,7 +93,7 @@ def do_mixed(job: MixedJob) -> Mixed:
         label: fb.validate(result, carry.scene, faults, n=job.mixed, seed=SEED, threads=1, settings=settings)
         for label, result in results.items()
     }
-    least = min(s for entity in carry.scene.entities.values() for s in entity.severity.values() if s > 0.0)
+    least = least_severity(carry.scene)
     motions = {label: _motion(found, reports[NONE]) for label, found in reports.items()}
     return Mixed(task=name, grasp=grasp, least=least, n=reports[NONE].n, motions=motions)
 

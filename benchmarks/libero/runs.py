@@ -14,6 +14,7 @@ import numpy as np
 import failbench as fb
 import graceful_plan as gp
 from benchmarks.libero.scenes import NoTransport, Transport, arrived, kind_of, transport
+from benchmarks.prevention.runs import least_severity
 from benchmarks.store import read_lines
 from failbench.calibrations.failures import DROP
 from failbench.fault.end_effector import GripperFailure
@@ -144,7 +145,7 @@ def do(job: Job) -> Done:
             motions[label] = Motion(refused=found, first=seconds[label])
         else:
             motions[label] = _drops(carry, found, job.drops, seconds[label], observed=label in OBSERVED)
-    least = min(s for entity in carry.scene.entities.values() for s in entity.severity.values() if s > 0.0)
+    least = least_severity(carry.scene)
     return Done(task=name, grasp=grasp, load=load, least=least, drops=job.drops, motions=motions)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import failbench as fb
 import graceful_plan as gp
 from benchmarks import report, suite
-from benchmarks.prevention.bound import SECONDS, SPEED, TASKS
+from benchmarks.prevention.bound_record import SECONDS, SPEED, TASKS
 from benchmarks.prevention.runs import SEED
 from benchmarks.store import read_lines, tasks_left
 from failbench import ExecutionRefused, SimSettings

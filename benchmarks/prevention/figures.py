@@ -13,8 +13,6 @@ import numpy as np
 from benchmarks.prevention.harm_curves import Offer, Typical, floored, harm_at, typical
 from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, Headline, Motion
 
-Array = np.ndarray
-
 MILLION = 1e6
 """Number of tasks for absolute harm."""
 _HOUR = 3600.0

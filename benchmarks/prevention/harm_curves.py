@@ -15,8 +15,6 @@ import numpy as np
 from failbench import Estimate
 from failbench.basics.statistics import cluster_bootstrap
 
-Array = np.ndarray
-
 
 class Offer(NamedTuple):
     """Duration or motion, and harm, of a planner at one weight."""

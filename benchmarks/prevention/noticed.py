@@ -10,7 +10,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from benchmarks.prevention.bound import SECONDS, SPEED
+from benchmarks.prevention.bound_record import SECONDS, SPEED
 from benchmarks.prevention.runs import SEED
 from benchmarks.store import read_lines, tasks_left
 from failbench.basics.statistics import cluster_bootstrap

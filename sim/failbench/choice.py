@@ -30,11 +30,9 @@ from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
 from failbench.validation import Motion, Scenarios, chosen_faults
 from graceful_plan import PlanResult, Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 _FIRST = 16
 """Failures per motion in the first round, rounded up to a multiple of the number of faults: in fewer, harm is rare."""
@@ -115,8 +113,7 @@ def choose(
     if not len(motions):
         raise SettingError("motions", motions, "at least one motion")
     for name, value in (("seconds", seconds), ("rate", rate)):
-        if not (is_real(value) and 0.0 <= value < np.inf):
-            raise SettingError(name, value, "a finite number >= 0")
+        not_negative(name, value)
     most = _ROUNDS if rounds is None else rounds
     check_whole("rounds", most, 1, _ROUNDS)
     check_whole("seed", seed, 0)

@@ -11,10 +11,8 @@ from failbench.report import FAILURES_PER_HOUR, ValidationReport
 from failbench.simulated.world import SimSettings
 from failbench.validation import Motion, Progress, Scenarios, validate
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
 
 PER = ("failure", "task")
 """Reference of harm: one failure, or one executed task with the expected number of failures during it."""

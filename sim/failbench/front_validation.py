@@ -20,8 +20,6 @@ from failbench.validation import Scenarios, validate
 from graceful_plan import ParetoFront, Scene, documents
 from graceful_plan.exceptions import SettingError
 
-Array = np.ndarray
-
 _SCHEMA = {"schema": "failbench.front_validation", "version": 2}
 
 

@@ -7,15 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
-import numpy as np
-
 from failbench.basics.statistics import Estimate
 from failbench.recording.healthy import HealthyHarm
 from failbench.recording.records import RolloutRequest
 from graceful_plan import documents
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 FAILURES_PER_HOUR = 1e-3
 """One failure in 1000 h: a round reference for harm per executed task, not a measured rate. If the healthy robot does

@@ -31,11 +31,11 @@ from failbench.simulated.states import STATE
 from failbench.simulated.world import build_world
 from failbench.surroundings.registry import disturbances, scene_with_intruder
 from graceful_plan import GracefulPlanError, load_scene
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.path import is_real
 from graceful_plan.testing import ContractError
 
-Array = np.ndarray
 Findings = Iterator[str]
 
 _STEPS = 200

@@ -44,12 +44,11 @@ from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.harm.fragility import FragilityTable
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 Motion = Trajectory | Path | PlanResult | ArrayLike
 Scenarios = str | Fault | Sequence[str | Fault]
@@ -154,8 +153,7 @@ def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
 
 
 def _check_rate(rate: float) -> None:
-    if not 0.0 <= rate < np.inf:
-        raise SettingError("rate", rate, "failures per hour, a finite number >= 0")
+    not_negative("rate", rate, "failures per hour, a finite number >= 0")
 
 
 def strikes(fault: Fault, scene: Scene) -> bool:

@@ -23,4 +23,6 @@ else:
 
     Bool = Int = UInt8 = Float
 
-__all__ = ["Bool", "Float", "Int", "UInt8"]
+Array = np.ndarray
+
+__all__ = ["Array", "Bool", "Float", "Int", "UInt8"]

@@ -17,10 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.regular_file import open_regular
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 _OFF = "GRACEFUL_PLAN_NO_CACHE"

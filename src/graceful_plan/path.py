@@ -10,10 +10,8 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
-
-Array = np.ndarray
 
 MOST_POINTS = 10_000_000
 """Maximum number of samples of a path or trajectory: about a gigabyte per array for ten joints."""

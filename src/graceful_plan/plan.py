@@ -56,8 +56,6 @@ from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.trajectory import State
 
-Array = np.ndarray
-
 _PASSING_SHARE = 0.2
 """Share of the remaining time in which a moving base goes over from its present arc to the motion found."""
 

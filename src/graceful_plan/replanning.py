@@ -9,14 +9,14 @@ from functools import cache
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
-from graceful_plan.path import Path, finite_array, is_real
+from graceful_plan.path import Path, finite_array
 from graceful_plan.plan import plan
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, time_price
 from graceful_plan.query.arguments import checked_objective, checked_speed
@@ -29,9 +29,8 @@ from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import finite
 from graceful_plan.timing.trajectory import REST, State, Trajectory
-
-Array = np.ndarray
 
 TIME_LIMIT = 0.1
 """Default time limit of a call [s]: ten times that of a first verified motion on bundled scenes."""
@@ -89,8 +88,7 @@ def replan(
     started = time.perf_counter()
     if not isinstance(motion, Trajectory):
         raise SettingError("motion", motion, "a Trajectory")
-    if not is_real(at) or not np.isfinite(at):
-        raise SettingError("at", at, "a finite time [s]")
+    finite("at", at, "a finite time [s]")
     checked_scene(scene)
     limit = TIME_LIMIT if time_limit is None and iterations is None else time_limit
     asked = tuple(default_constraints(scene) if constraints is None else constraints)

@@ -7,20 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.prevention.bound import (
-    DEFAULT,
-    NAMED,
-    PRIORS,
-    SIZES,
-    TASKS,
-    Bound,
-    Modelled,
-    bound_table,
-    limit_of,
-    rank_of,
-    read_bounds,
-    share_of,
-)
+from benchmarks.prevention.bound import bound_table, read_bounds
+from benchmarks.prevention.bound_record import DEFAULT, NAMED, PRIORS, SIZES, TASKS, Bound, Modelled
+from benchmarks.prevention.bound_tables import limit_of, rank_of, share_of
 from benchmarks.prevention.choosing import Choice, choice_section, read_choices
 from benchmarks.prevention.noticed import ARM, GRIPPER, Noticed, noticed_section, read_noticed
 from benchmarks.prevention.runs import NONE

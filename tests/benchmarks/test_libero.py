@@ -12,7 +12,7 @@ from places import ROOT
 
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.libero import draw, figures, mixed, robosuite_scenes, scenes
+from benchmarks.libero import draw, figures, grasps, mixed, robosuite_scenes, scenes
 from benchmarks.libero.runs import NONE, OBJECTIVES, OURS, PARTS, Done, Events, Motion, read
 from benchmarks.subjects import libero
 
@@ -135,7 +135,7 @@ def bowls() -> SimpleNamespace:
 
 def test_places_to_hold_spread_over_the_rim():
     scene = bowls()
-    places = np.array(scenes._places_to_hold(scene, "bowl"))  # pyright: ignore[reportArgumentType, reportPrivateUsage]
+    places = np.array(grasps._places_to_hold(scene, "bowl"))  # pyright: ignore[reportArgumentType, reportPrivateUsage]
     assert np.linalg.norm(places[0, :2]) < 1e-9
     rim = np.sort(np.arctan2(places[1:, 1], places[1:, 0]))
     assert np.diff([*rim, rim[0] + 2.0 * np.pi]).max() < np.pi / 2.0  # whichever side the arm reaches

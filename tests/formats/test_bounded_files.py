@@ -122,11 +122,16 @@ def test_part_files_must_have_the_row_count_of_the_manifest(tmp_path: Path) -> N
             dataset._read_part(file, part, dataset.VERSION)
 
 
-def test_json_of_very_many_values_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_of_very_many_or_deep_values_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert untrusted_json.parse_json("[[], {}]", "a") == [[], {}]
     assert untrusted_json.parse_json(b"[1, 2]", "a") == [1, 2]
     for text in ("[" * 100_000, "[1,", "[" + "9" * 5000 + "]"):
         with pytest.raises(FormatError, match="a: not JSON"):
+            untrusted_json.parse_json(text, "a")
+    deep = untrusted_json.MOST_DEPTH
+    assert untrusted_json.parse_json("[" * deep + "]" * deep, "a")
+    for text in ("[" * (deep + 1) + "]" * (deep + 1), '{"a":' * (deep + 1) + "1" + "}" * (deep + 1)):
+        with pytest.raises(FormatError, match=f"a: nested deeper than {deep} levels"):
             untrusted_json.parse_json(text, "a")
     monkeypatch.setattr(untrusted_json, "MOST_VALUES", 100)
     for text in ("[" + "[]," * 100 + "[]]", b"[" + b"1," * 100 + b"1]"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planned_tasks import planned
+from planned_tasks import assert_within_limits
 
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnsupportedError
@@ -15,24 +15,11 @@ from jackals import jackal
 COUNT = 8
 
 
-@pytest.fixture(scope="module")
-def block() -> tuple[gp.Task, gp.Trajectory]:
-    return planned("tabletop", "lift_to_goal", w=0.0, iterations=40)
-
-
-@pytest.fixture(scope="module")
-def coffee() -> tuple[gp.Task, gp.Trajectory]:
-    return planned("desk", "bring_coffee", w=0.0, speed=0.5, iterations=40)
-
-
 def assert_arrives(trajectory: gp.Trajectory, goal: gp.State, scene: gp.Scene) -> None:
     np.testing.assert_allclose(trajectory.q[-1], goal.q, atol=1e-6)
     assert np.all(np.abs(trajectory.qd[-1] - goal.qd) <= 0.01 * scene.limits.velocity)
     dense = trajectory.at(np.linspace(trajectory.t[0], trajectory.t[-1], 2000))
-    lower, upper = scene.limits.position.T
-    assert np.all(np.abs(dense.qd) <= scene.limits.velocity * (1.0 + 1e-6))
-    assert np.all(np.abs(dense.qdd) <= scene.limits.acceleration * (1.0 + 1e-6))
-    assert np.all((dense.q >= lower - 1e-6) & (dense.q <= upper + 1e-6))
+    assert_within_limits(dense, scene)
 
 
 @settings(max_examples=COUNT, deadline=None)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planned_tasks import planned
+from planned_tasks import assert_within_limits
 
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
@@ -18,24 +18,11 @@ from graceful_plan.query.endpoints.moving_start import find_start
 COUNT = 8
 
 
-@pytest.fixture(scope="module")
-def block() -> tuple[gp.Task, gp.Trajectory]:
-    return planned("tabletop", "lift_to_goal", w=0.0, iterations=40)
-
-
-@pytest.fixture(scope="module")
-def coffee() -> tuple[gp.Task, gp.Trajectory]:
-    return planned("desk", "bring_coffee", w=0.0, speed=0.5, iterations=40)
-
-
 def assert_continues(trajectory: gp.Trajectory, state: gp.State, scene: gp.Scene) -> None:
     np.testing.assert_allclose(trajectory.q[0], state.q, atol=1e-9)
     np.testing.assert_allclose(trajectory.qd[0], state.qd, atol=1e-6)
     dense = trajectory.at(np.linspace(0.0, trajectory.duration, 2000))
-    lower, upper = scene.limits.position.T
-    assert np.all(np.abs(dense.qd) <= scene.limits.velocity * (1.0 + 1e-6))
-    assert np.all(np.abs(dense.qdd) <= scene.limits.acceleration * (1.0 + 1e-6))
-    assert np.all((dense.q >= lower - 1e-6) & (dense.q <= upper + 1e-6))
+    assert_within_limits(dense, scene)
     assert np.abs(trajectory.qd[-1]).max() < 1e-9
     # Positions belong to the velocities: a trapezoidal sum reproduces them.
     dt = np.diff(np.linspace(0.0, trajectory.duration, 2000))[:, None]

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from drop_twin import catching
 
 import graceful_plan as gp
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.functions import GRAVITY, box, positive
-from graceful_plan.costs.models.drop.landing import LEAST_MASS, catching, fly
+from graceful_plan.costs.models.drop.landing import LEAST_MASS, fly
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import drop_tables

@@ -209,7 +209,7 @@ def damaged(change):
         (lambda d: d.update(stats={"seconds": "long"}), "stats.seconds"),
         (lambda d: d["points"].append(d["points"][0]), "not a front"),
         (lambda d: d["points"][0].pop("path"), r"points\[0\]"),
-        (lambda d: d["points"].insert(0, 7), "must be an object"),
+        (lambda d: d["points"].insert(0, 7), "an object is expected"),
         (lambda d: d["points"][0]["cost"].update(impact=-1.0), r"points\[0\].cost.impact"),
         (lambda d: d["points"][0]["cost"].update(motion=True), r"points\[0\].cost.motion"),
         (lambda d: d["points"][0]["cost"].update(motion=None), r"points\[0\].cost.motion"),

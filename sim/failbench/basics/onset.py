@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import fraction, not_negative
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,7 @@ class AtTime:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (is_real(self.time) and math.isfinite(self.time) and self.time >= 0.0):
-            raise SettingError("time", self.time, "a finite time >= 0 s")
+        not_negative("time", self.time, "a finite time >= 0 s")
 
     def onset(self, u: float, duration: float) -> float:
         """Return the onset [s] on a trajectory of length `duration` [s]; `u` is ignored."""
@@ -33,8 +32,7 @@ class AtFraction:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not 0.0 <= self.fraction <= 1.0:
-            raise SettingError("fraction", self.fraction, "0 <= fraction <= 1")
+        fraction("fraction", self.fraction)
 
     def onset(self, u: float, duration: float) -> float:
         """Return the onset [s] on a trajectory of length `duration` [s]; `u` is ignored."""

@@ -17,11 +17,10 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, real_array
-
-Array = np.ndarray
+from graceful_plan.setting_checks import finite, not_negative
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,7 @@ class Estimate:
         Raises:
             SettingError: Unless `factor` is a finite number >= 0.
         """
-        if not 0.0 <= factor < math.inf:
-            raise SettingError("factor", factor, "a finite number >= 0")
+        not_negative("factor", factor)
         return Estimate(factor * self.mean, factor * self.low, factor * self.high, self.n)
 
     def shifted(self, by: float) -> Estimate:
@@ -59,8 +57,7 @@ class Estimate:
         Raises:
             SettingError: Unless `by` is a finite number.
         """
-        if not math.isfinite(by):
-            raise SettingError("by", by, "a finite number")
+        finite("by", by)
         return Estimate(self.mean + by, self.low + by, self.high + by, self.n)
 
 

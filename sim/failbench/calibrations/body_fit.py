@@ -19,14 +19,12 @@ from failbench.calibrations.failures import Failures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import PowerLoss, faults
 from graceful_plan import Scene, StateBatch
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.models.body.body import FAR, BodyModel, mode_names
 from graceful_plan.costs.models.body.constants import GENERATORS, MOTION, BodySettings, Margin
 from graceful_plan.costs.models.body.tables import ROWS
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
 
 SINGLE: Mapping[str, str] = {"complete_shutdown": "joint", "stuck_position": "stuck"}
 """Faults of one joint, and the generators fitted to them."""

@@ -10,12 +10,10 @@ import numpy as np
 from failbench.basics.statistics import cluster_draws
 from failbench.calibrations.fitting import Fitted
 from failbench.calibrations.skill import SMALLEST, Figures, figures
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.models.body.body import chance
 from graceful_plan.costs.models.body.constants import Margin
 from graceful_plan.exceptions import SettingError, ShapeError
-
-Array = np.ndarray
 
 REACH = 0.35
 """Distance [m] up to which distances are computed for a fit."""

@@ -10,22 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from failbench.calibrations.calibrate import Calibration, Recipe
 from failbench.calibrations.failures import DROP, Failures
 from failbench.calibrations.family_fit import States, fit_family
 from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.drop.constants import SHARED, DropConstants, DropSettings
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.objective import moving_batch
-
-Array = np.ndarray
-
 
 _PRIORS: Mapping[str, Prior] = {
     "delay": Prior(0.03, 0.02, 0.0, 0.2, "s"),

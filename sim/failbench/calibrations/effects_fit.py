@@ -28,11 +28,9 @@ from failbench.calibrations.skill import Figures, figures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.fault_prior import ARM, FAILURES
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
 
 _GAIN = 1e-3  # gain of the log-likelihood below which the alternation ends [nat]
 _TURNS = 50

@@ -17,11 +17,9 @@ from failbench.calibrations.varied import Variation
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import MOST, check_whole
 from graceful_plan import GracefulPlanError, Path, Scene, Task, Trajectory
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.path import plain_numbers
-
-Array = np.ndarray
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of finished and of all motions."""

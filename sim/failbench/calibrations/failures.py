@@ -24,14 +24,12 @@ from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import make_requests
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import Scene, StateBatch, Trajectory
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError, SettingError
 from graceful_plan.formats.npz_file import read_arrays
 from graceful_plan.untrusted_json import parse_json
-
-Array = np.ndarray
 
 _SCHEMA, _VERSION = "failbench.failures", 1
 DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)

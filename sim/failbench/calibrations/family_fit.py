@@ -14,10 +14,8 @@ from failbench.calibrations.failures import Failures
 from failbench.calibrations.fitting import Family, Fitted, Sample, fit, predictions, samples_of
 from failbench.calibrations.skill import Figures, figures
 from graceful_plan import Scene
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
 
 
 class States(NamedTuple):

@@ -10,11 +10,9 @@ import numpy as np
 import graceful_plan as gp
 from failbench.calibrations.failures import Failures
 from graceful_plan import Scene
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.fault_prior import FAILURES
 from graceful_plan.exceptions import SettingError, ShapeError
-
-Array = np.ndarray
 
 GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]]
 """Returns P(component hits entity) by generator, for states at onsets, given that the failure is of that generator."""

@@ -18,10 +18,9 @@ from failbench.basics.statistics import check_confidence
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.skill import SMALLEST
 from graceful_plan import Scene
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 _STEP = 1e-5
 """Step of finite differences, in units of a prior's spread."""
@@ -60,8 +59,7 @@ class Constant:
     def __post_init__(self) -> None:
         if not self.low <= self.prior <= self.high:
             raise SettingError(f"prior of {self.name}", self.prior, f"between {self.low:g} and {self.high:g}")
-        if not 0.0 < self.spread < np.inf:
-            raise SettingError(f"spread of {self.name}", self.spread, "finite and above 0")
+        positive(f"spread of {self.name}", self.spread)
 
     @property
     def positive(self) -> bool:

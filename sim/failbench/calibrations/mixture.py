@@ -20,9 +20,7 @@ from itertools import product
 import numpy as np
 
 from failbench.calibrations.skill import SMALLEST
-from graceful_plan.array_types import Bool, Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Bool, Float
 
 _GAP = 1e-4  # greatest gap of the log-likelihood from its maximum [nat]
 _STEPS = 100

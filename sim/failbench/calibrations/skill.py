@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from failbench.basics.statistics import Estimate, check_confidence, cluster_bootstrap
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
-
-Array = np.ndarray
 
 SMALLEST = 1e-4
 """Probabilities are clamped to this distance from 0 and 1 in the logarithmic loss, which is infinite there."""

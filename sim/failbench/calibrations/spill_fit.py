@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
-import numpy as np
-
 from failbench.calibrations.calibrate import VERSION, Calibration, Recipe
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.family_fit import FamilyCalibration, States, fit_family
@@ -20,7 +18,7 @@ from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
@@ -28,8 +26,6 @@ from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import UnknownNameError
-
-Array = np.ndarray
 
 SPILT = 0.01
 """Lost fraction of the contents that counts as a spill."""

@@ -14,6 +14,7 @@ from failbench.rollouts.execution import Execution
 from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import not_negative
 
 _RESTITUTION = (0.017, 0.193, 0.266, 0.351, 0.460, 0.529, 0.611, 0.694)
 """Restitution of a sphere that falls 0.3 m, for each of `_DAMPING`, by `restitution` of
@@ -46,8 +47,7 @@ class Variation:
                 raise SettingError(
                     "restitution", self.restitution, f"{_RESTITUTION[0]} to {_RESTITUTION[-1]}, in order"
                 )
-        if not 0.0 <= self.spin < np.inf:
-            raise SettingError("spin", self.spin, "finite, at least 0 rad/s")
+        not_negative("spin", self.spin, "finite, at least 0 rad/s")
 
 
 VARIED = Variation(restitution=(0.1, 0.6), spin=1.2)

@@ -13,9 +13,8 @@ from failbench.calibrations import body_fit, drop_fit, effects_fit, spill_fit
 from failbench.calibrations.calibrate import Recipe, calibrate, write
 from failbench.calibrations.failure_jobs import FailureSettings
 from failbench.calibrations.varied import VARIED
-from failbench.commands.options import add_command
 from failbench.commands.output import Answer, Bar
-from graceful_plan.tools.console import check_file
+from graceful_plan.tools.console import add_command, check_file
 
 _RECIPES: Mapping[str, Recipe] = {
     "drop": drop_fit.RECIPE,

@@ -7,13 +7,14 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
-from failbench.commands.options import add_command, add_grasp, add_motion, motion_of, sim_settings
+from failbench.commands.options import add_grasp, add_motion, motion_of, sim_settings
 from failbench.commands.output import Answer, Bar
 from failbench.front_validation import validate_front
 from failbench.report import FAILURES_PER_HOUR
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.definition import scene_of
 from failbench.validation import validate
+from graceful_plan.tools.console import add_command
 
 
 def add(commands: Any) -> None:

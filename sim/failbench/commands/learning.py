@@ -7,9 +7,8 @@ import os
 from pathlib import Path as FilePath
 from typing import Any
 
-from failbench.commands.options import add_command
 from failbench.commands.output import Answer, Bar
-from graceful_plan.tools.console import check_file
+from graceful_plan.tools.console import add_command, check_file
 
 _SCENES, _ROLLOUTS = 180, 15000
 

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path as FilePath
-from typing import Any
 
 import graceful_plan as gp
-from failbench.commands.output import Answer
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.definition import PlanSettings, Sweep, SweepMotion, scene_of
 from graceful_plan import documents
 from graceful_plan.exceptions import SettingError
-
-
-def add_command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], Answer], text: str
-) -> argparse.ArgumentParser:
-    """Add a command that calls `run` to the parser."""
-    parser: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("--json", action="store_true", help="print one JSON document")
-    parser.set_defaults(run=run)
-    return parser
 
 
 def add_scenario(parser: argparse.ArgumentParser, text: str = "name of the scenario, SCENE/TASK/FAULT/DEGREE") -> None:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import graceful_plan as gp
-from failbench.commands.options import add_command
 from failbench.commands.output import Answer, Bar
 from failbench.report import FAILURES_PER_HOUR
+from graceful_plan.tools.console import add_command
 
 _RECOVERIES = ("none", "stop", "replan")
 

@@ -7,7 +7,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from failbench.basics.chunks import Rows
-from failbench.commands.options import add_command, add_scenario, single
+from failbench.commands.options import add_scenario, single
 from failbench.commands.output import Answer, Bar
 from failbench.fault.registry import to_document
 from failbench.pictures.playback import replay
@@ -17,6 +17,7 @@ from failbench.sweeps import summary
 from failbench.sweeps.definition import scene_of
 from failbench.sweeps.sweep import read_sweep
 from failbench.sweeps.work import execution_of, jobs_of, run_chunk
+from graceful_plan.tools.console import add_command
 
 
 def add(commands: Any) -> None:

@@ -7,12 +7,13 @@ import dataclasses
 from pathlib import Path as FilePath
 from typing import Any
 
-from failbench.commands.options import add_command, add_motion, motion_of, plan_settings, sim_settings
+from failbench.commands.options import add_motion, motion_of, plan_settings, sim_settings
 from failbench.commands.output import Answer, Bar
 from failbench.sweeps.definition import Sweep
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.sweep import Generated, generate_dataset, resume, sweep_of
 from graceful_plan.exceptions import SettingError
+from graceful_plan.tools.console import add_command
 
 
 def add(commands: Any) -> None:

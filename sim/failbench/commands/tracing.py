@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path as FilePath
 from typing import Any
 
-from failbench.commands.options import add_command
 from failbench.commands.output import Answer
 from failbench.traces.folder import write_traces
 from failbench.traces.lerobot import write_lerobot
 from failbench.traces.trace import Sampling
+from graceful_plan.tools.console import add_command
 
 
 def add(commands: Any) -> None:

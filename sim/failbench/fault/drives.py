@@ -9,9 +9,8 @@ import numpy as np
 from failbench.simulated.robot import Robot
 from failbench.simulated.simulation import Simulation
 from failbench.simulated.world import World
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import UnsupportedError
-
-Array = np.ndarray
 
 DRIVE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 """Model fields that `scale_torque` needs."""

@@ -12,6 +12,7 @@ from failbench.basics.onset import Onset, Uniform
 from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import not_negative, positive_or_none
 
 DEGREES = ("minor", "moderate", "severe", "critical")
 
@@ -71,10 +72,8 @@ class Fault(ABC):
         plain_numbers(self)
         if self.degree not in DEGREES:
             raise SettingError("degree", self.degree, f"one of {', '.join(DEGREES)}")
-        if not (math.isfinite(self.ramp) and self.ramp >= 0.0):
-            raise SettingError("ramp", self.ramp, "a finite time >= 0 s")
-        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
-            raise SettingError("duration", self.duration, "a finite time > 0 s, or None if permanent")
+        not_negative("ramp", self.ramp, "a finite time >= 0 s")
+        positive_or_none("duration", self.duration, "a finite time > 0 s, or None if permanent")
         if not isinstance(self.when, Onset):
             raise SettingError("when", self.when, "AtTime, AtFraction or Uniform")
         if not isinstance(self.targets, tuple | list):

@@ -12,7 +12,7 @@ from failbench.fault.drives import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, 
 from failbench.fault.fault import REACTION, Fault
 from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError, UnsupportedError
-from graceful_plan.path import is_real
+from graceful_plan.setting_checks import positive
 
 STOPS = (0, 1)
 """Supported stop categories of IEC 60204-1."""
@@ -51,8 +51,7 @@ class ProtectiveStop(Fault):
             raise SettingError("category", self.category, f"one of {', '.join(map(str, STOPS))}")
         if self.prepared is None:
             return
-        if not (is_real(self.prepared) and 0.0 < self.prepared < np.inf):
-            raise SettingError("prepared", self.prepared, "a finite time > 0 s, or None")
+        positive("prepared", self.prepared, "a finite time > 0 s, or None")
         if self.category == 0:
             raise SettingError("prepared", self.prepared, "None with category 0: brakes follow no path")
 

@@ -18,8 +18,6 @@ from failbench.learning.things import MassPart, Taken, extent, free_spot, thing,
 from graceful_plan.exceptions import SceneError, UnknownNameError
 from graceful_plan.scene.elements import EntityAnnotation, Notes, ObjectNote, TaskNote
 
-Array = np.ndarray
-
 PREFIX = "generated_"
 """Prefix of the scenes' names; the seed follows."""
 CARRIED = 2

@@ -13,14 +13,12 @@ from failbench.calibrations.failures import Failures
 from failbench.learning.generated import PREFIX, generated_scene, scene_names
 from failbench.rollouts.sampling import MOST, check_whole
 from graceful_plan import Scene, load_scene, scenes
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import drop_kernel
 from graceful_plan.costs.models.drop.network import LEAST, looks
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.path import plain_numbers
-
-Array = np.ndarray
 
 _STRIDE = 2
 """Each task gets every second kind of motion, alternating between tasks."""

@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 _GAP = 0.006
 """Least distance between things [m]."""

@@ -13,13 +13,11 @@ import numpy as np
 
 from failbench.calibrations.skill import Figures, figures
 from failbench.learning.rollouts import Pairs
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.models.drop.network import LOOKS, MOST_HIDDEN, STATE_FEATURES, DropNetwork, fade, squash
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
-
-Array = np.ndarray
 
 _CERTAIN = 1e-6
 """Distance from 1 to which probabilities are clamped; nothing can be learned beyond."""

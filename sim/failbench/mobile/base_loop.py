@@ -16,13 +16,11 @@ from failbench.rollouts.driven import TICK, Misreadings
 from failbench.simulated.rolling import Rolling
 from failbench.simulated.world import World
 from graceful_plan import Scene, Trajectory
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.steering import FASTER
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveState
-
-Array = np.ndarray
 
 _SLACK = 0.5
 """Largest difference between the commanded and the measured angle of a wheel [rad]; limits integral wind-up."""

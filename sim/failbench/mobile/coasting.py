@@ -12,14 +12,12 @@ import numpy as np
 from failbench.mobile.following import within_reach
 from failbench.mobile.slipping import steady_drive
 from failbench.mobile.wheeled import TIMESTEP, Wheeled
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.exceptions import UnknownNameError
-from graceful_plan.mobile.coast.constants import ONE_SIDE, WHEELS, CoastSettings
+from graceful_plan.mobile.coast.constants import ONE_SIDE, WHEELS
 from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, reference_motion
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveState
-
-Array = np.ndarray
 
 _STILL = 0.02
 """Speed of the base below which it counts as stopped [m/s], checked every `_LOOK` seconds."""
@@ -80,27 +78,6 @@ class BaseHit:
     entity: int
     speed: float
     time: float
-
-
-def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
-    """Draw a failure that is not harmless from the distribution of the coast settings."""
-    names = list(settings.ways)
-    weights = np.array([settings.ways[name].weight for name in names])
-    way = settings.ways[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
-    aside, askew = settings.position_spread * rng.normal(), settings.drift * rng.normal()
-    return BaseFailure(
-        way.wheels,
-        float(rng.choice(way.deceleration)),
-        way.drag,
-        float(rng.choice(way.delay)),
-        float(aside),
-        float(askew),
-        bend=float(rng.choice(way.bend)),
-        left=bool(rng.integers(2)),
-        friction=settings.friction,
-        brakes=settings.brakes,
-        steered=way.steered,
-    )
 
 
 def coasted(

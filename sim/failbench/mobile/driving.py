@@ -27,13 +27,11 @@ from failbench.mobile.wheeled import TIMESTEP, Wheeled, wheeled
 from failbench.report import ValidationReport
 from failbench.validation import Scenarios, validate
 from graceful_plan import Path, PlanResult, Scene, Trajectory, retime
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState
 from graceful_plan.path import real_array
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graceful_plan import Scene, Trajectory
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.steering import BEHIND
 from graceful_plan.mobile.control.diff_drive_controller import Tracking, drive_states, limited
@@ -17,8 +17,6 @@ from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState
 from graceful_plan.mobile.control.dwa import DynamicWindow, seen
 from graceful_plan.mobile.control.pure_pursuit import PurePursuit
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-
-Array = np.ndarray
 
 Controller = Tracking | PurePursuit | DynamicWindow
 

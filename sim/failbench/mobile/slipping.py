@@ -10,12 +10,10 @@ import numpy as np
 
 from failbench.mobile.wheeled import TIMESTEP, Wheeled, on_endless_floor
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.control.diff_drive_controller import Pivot, Tracking
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState
 from graceful_plan.scene.per_scene import per_scene
-
-Array = np.ndarray
 
 _RAMP, _MEASURED = 0.6, 0.8
 """Durations of the acceleration ramp and of the measurement after it [s]."""

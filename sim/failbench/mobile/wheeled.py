@@ -8,14 +8,12 @@ import mujoco
 import numpy as np
 
 from graceful_plan import Scene
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import KEEP_OUT
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_scene
-
-Array = np.ndarray
 
 TIMESTEP = 0.002
 """MuJoCo time step [s]."""

@@ -19,18 +19,18 @@ import graceful_plan as gp
 from failbench.fault.registry import faults
 from failbench.pictures.drawing import TouchPaint, add_geoms, outlined
 from failbench.pictures.film import font
-from failbench.pictures.offscreen import Offscreen, close_to
+from failbench.pictures.offscreen import Offscreen
 from failbench.pictures.playback import film, healthy
 from failbench.recording.records import Rollout, RolloutRequest
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Array, Float, UInt8
+from graceful_plan.viz.offscreen import camera_at
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Array = np.ndarray
 
 SCENE, TASK = "tabletop", "lift_to_goal"
 DEGREE = "critical"
@@ -197,7 +197,7 @@ def camera_on(execution: Execution, place: Float[Array, " xyz"]) -> mujoco.MjvCa
     mujoco.mj_forward(execution.world.model, data)
     centre = np.mean([data.xpos[body] for body in execution.world.movable.values()], axis=0)
     distance = _DISTANCE + float(np.linalg.norm(place - centre))
-    return close_to(0.5 * (centre + place) + [0.0, 0.0, 0.14], distance, _AZIMUTH, _ELEVATION)
+    return camera_at(0.5 * (centre + place) + [0.0, 0.0, 0.14], distance, _AZIMUTH, _ELEVATION)
 
 
 def _cell(pixels: UInt8[Array, "height width 3"], lines: Sequence[str]) -> Image:

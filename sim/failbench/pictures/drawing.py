@@ -10,9 +10,7 @@ import mujoco
 import numpy as np
 
 from failbench.simulated.world import World
-from graceful_plan.array_types import Bool, Float, Int, UInt8
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Bool, Float, Int, UInt8
 
 _LINGER = 0.12
 """Time for which a touch is drawn [s]; most touches last a few milliseconds."""

@@ -12,20 +12,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from failbench.pictures.contact_sheet import WORDS, Worst, beside_healthy, camera_on, healthy_run, worst_of
 from failbench.pictures.drawing import TouchPaint
 from failbench.pictures.offscreen import Offscreen
 from failbench.pictures.playback import film, healthy
 from failbench.rollouts.execution import Execution
 from failbench.simulated.states import CHECKPOINT
-from graceful_plan.array_types import UInt8
+from graceful_plan.array_types import Array, UInt8
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Array = np.ndarray
 
 _WIDTH, _HEIGHT, _BAR = 320, 240, 6
 """Width and height of a film, and height of the bar at its lower edge [pixels]."""

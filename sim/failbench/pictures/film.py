@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from failbench.basics.errors import NoPicture
-from graceful_plan.array_types import UInt8
+from graceful_plan.array_types import Array, UInt8
 from graceful_plan.exceptions import FormatError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Array = np.ndarray
 
 ANIMATED = (".gif", ".webp", ".apng")
 SUFFIXES = ("", *ANIMATED, ".mp4")

@@ -19,10 +19,8 @@ import mujoco
 import numpy as np
 
 from failbench.basics.errors import NoPicture
-from graceful_plan.array_types import Bool, Float, UInt8
+from graceful_plan.array_types import Array, Bool, UInt8
 from graceful_plan.exceptions import UnknownNameError
-
-Array = np.ndarray
 
 Mark = Callable[[Any], None]
 """Adds geoms to an MjvScene."""
@@ -63,14 +61,6 @@ def find_camera(model: mujoco.MjModel, camera: str | mujoco.MjvCamera | None) ->
         mujoco.mjv_defaultFreeCamera(model, found)
         found.azimuth, found.elevation = _AZIMUTH, _ELEVATION
     return found
-
-
-def close_to(point: Float[Array, " xyz"], distance: float, azimuth: float, elevation: float) -> mujoco.MjvCamera:
-    """Return a camera that looks at a point in W [m], from a distance [m] and angles [degrees]."""
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = point
-    camera.distance, camera.azimuth, camera.elevation = distance, azimuth, elevation
-    return camera
 
 
 class Offscreen:

@@ -32,8 +32,6 @@ from graceful_plan.exceptions import SettingError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Array = np.ndarray
-
 _BEFORE, _AFTER = "#2a7f4f", "#c2185b"
 """Colours of the caption's strip before and after the onset."""
 _NAMES = 4

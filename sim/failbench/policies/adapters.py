@@ -16,9 +16,7 @@ from failbench.policies.mlp import Mlp
 from failbench.policies.policy import Acting, Observation, Policy, PolicyError, PolicyFactory, check_action
 from failbench.policies.task import PolicyTask
 from failbench.rollouts.execution import Execution
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 _LIFT = 0.15
 """Height by which the scripted policy lifts the tool before it moves across [m]."""

@@ -18,9 +18,8 @@ from failbench.recording.records import RolloutRequest
 from failbench.simulated.rest import let_sleep
 from failbench.simulated.states import control_spec, put, warnings_counted_only
 from failbench.simulated.stiction import EVERY, SURFACE, Stiction
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
-
-Array = np.ndarray
 
 _COUNT = 1
 """Column of a simulation's warnings that counts them."""

@@ -5,14 +5,11 @@ from __future__ import annotations
 from types import TracebackType
 
 import mujoco
-import numpy as np
 
 from failbench.pictures.offscreen import Offscreen, find_camera
 from failbench.policies.episode import Camera
 from failbench.policies.task import PolicyTask
-from graceful_plan.array_types import Float, UInt8
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, UInt8
 
 
 class PolicyCameras:

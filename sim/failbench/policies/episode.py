@@ -21,11 +21,10 @@ from failbench.rollouts.injection import NEVER, Injection
 from failbench.simulated.rest import PERIOD
 from failbench.simulated.states import CHECKPOINT, STATE
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Array, Float, UInt8
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.placement import Placement
 
-Array = np.ndarray
 Camera = Callable[[Array], Mapping[str, UInt8[Array, "height width 3"]]]
 """Takes pictures for positions of the whole model."""
 

@@ -21,11 +21,9 @@ from failbench.recording.score import greatest_touch
 from failbench.report import FAILURES_PER_HOUR
 from failbench.rollouts.sampling import MOST, Draws, check_whole, draw, thread_count
 from failbench.validation import Scenarios, chosen_faults
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 Progress = Callable[[int, int], None]
 
@@ -77,8 +75,7 @@ def evaluate(
     check_whole("seed", seed, 0)
     check_confidence(confidence)
     for name, value in (("rate", rate), ("delay", delay)):
-        if not (is_real(value) and 0.0 <= value < np.inf):
-            raise SettingError(name, value, "a finite number >= 0")
+        not_negative(name, value)
     if recovery is not None and not isinstance(recovery, Recovery):
         raise SettingError("recovery", recovery, "a Recovery, such as StopOnFailure()")
     if watch is not None and recovery is None:

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import FormatError, ShapeError, names_file
 from graceful_plan.formats.npz_file import read_arrays
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

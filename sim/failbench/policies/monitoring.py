@@ -17,10 +17,10 @@ from failbench.policies.recovery import Recovering, Recovery
 from failbench.policies.rollouts import roll_out
 from failbench.policies.task import PolicyTask
 from failbench.simulated.world import World
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real, plain_numbers
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 _VARIED = ("body_mass", "body_inertia", "dof_damping", "dof_frictionloss", "geom_friction")
 """Fields of the robot and the carried object that differ from their model."""
@@ -54,8 +54,7 @@ class SensorErrors:
     def __post_init__(self) -> None:
         plain_numbers(self)
         for name, value in vars(self).items():
-            if not is_real(value) or not 0.0 <= value < np.inf:
-                raise SettingError(name, value, "a finite number >= 0")
+            not_negative(name, value)
         if not self.lost < 1.0:
             raise SettingError("lost", self.lost, "a probability < 1")
 

@@ -15,11 +15,9 @@ from numpy.typing import ArrayLike
 
 from failbench.policies.task import PolicyTask
 from graceful_plan import GracefulPlanError
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Array, Float, UInt8
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import real_array
-
-Array = np.ndarray
 
 ACTIONS: Mapping[str, str] = MappingProxyType(
     {

@@ -20,11 +20,10 @@ from failbench.policies.adapters import OpenLoop
 from failbench.policies.policy import Observation, Policy, PolicyError, PolicyFactory, action_kind
 from failbench.policies.task import PolicyTask
 from graceful_plan import GracefulPlanError
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real, plain_numbers
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative, positive
 
 Reaction = Callable[[Observation], Float[Array, " nq"] | None]
 """Controller after the detection: returns joint positions, or None to close the brakes."""
@@ -86,8 +85,7 @@ class StopOnFailure(Recovery):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (is_real(self.deceleration) and 0.0 < self.deceleration < np.inf):
-            raise SettingError("deceleration", self.deceleration, "a finite number > 0")
+        positive("deceleration", self.deceleration)
         if not isinstance(self.brakes, bool):
             raise SettingError("brakes", self.brakes, "True or False")
 
@@ -174,8 +172,7 @@ class ReplanOnFailure(Recovery):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (is_real(self.time_limit) and 0.0 <= self.time_limit < np.inf):
-            raise SettingError("time_limit", self.time_limit, "a finite time >= 0 s")
+        not_negative("time_limit", self.time_limit, "a finite time >= 0 s")
         for name in ("tolerance", "following"):
             if not (is_real(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise SettingError(name, getattr(self, name), "a number > 0")

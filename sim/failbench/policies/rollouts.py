@@ -20,8 +20,6 @@ from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
 from graceful_plan import Notice, Scene
 from graceful_plan.exceptions import SettingError
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyRollout:

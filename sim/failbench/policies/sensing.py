@@ -6,9 +6,8 @@ import numpy as np
 
 from failbench.fault.registry import ControlDelay
 from failbench.rollouts.injection import Injection
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 
-Array = np.ndarray
 Reading = tuple[Float[Array, " nq"], Float[Array, " nq"]]
 """Positions [rad or m] and speeds [rad/s or m/s]."""
 

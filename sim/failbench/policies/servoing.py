@@ -8,10 +8,8 @@ import mujoco
 import numpy as np
 
 from failbench.policies.task import PolicyTask, tool_pose
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.placement import Placement
-
-Array = np.ndarray
 
 _ITERATIONS = 3
 """Iterations of inverse kinematics per period; the next period continues."""

@@ -16,12 +16,11 @@ from failbench.rollouts.healthy_commands import standing
 from failbench.rollouts.healthy_run import settled
 from failbench.simulated.states import STATE
 from failbench.simulated.world import SimSettings, World, build_world
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import is_real, is_whole, plain_numbers
 from graceful_plan.scene.placement import Placement
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_fraction
 
 _TRIES = 20
 """Number of random starts to try; if all collide, the episode begins at the task's start."""
@@ -73,8 +72,7 @@ class PolicySettings:
         for name, most in (("horizon", LONGEST), ("noise", 10.0), ("dwell", LONGEST)):
             if not (is_real(getattr(self, name)) and 0.0 <= getattr(self, name) <= most):
                 raise SettingError(name, getattr(self, name), f"a finite number >= 0, at most {most:g}")
-        if not (is_real(self.speed) and 0.0 < self.speed <= 1.0):
-            raise SettingError("speed", self.speed, "0 < speed <= 1")
+        positive_fraction("speed", self.speed, "0 < speed <= 1")
         if not (_is_pair(self.reach) and all(is_real(x) and math.isfinite(x) and x > 0.0 for x in self.reach)):
             raise SettingError("reach", self.reach, "a distance [m] and an angle [rad], both > 0")
         if not (_is_pair(self.size) and all(is_whole(n) and 1 <= n <= 4096 for n in self.size)):

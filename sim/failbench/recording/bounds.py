@@ -6,9 +6,7 @@ import mujoco
 import numpy as np
 
 from failbench.simulated.world import World
-from graceful_plan.array_types import Bool, Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Bool, Float, Int
 
 _ANYWHERE = 1e6
 """Half size of a box that contains everything [m]."""

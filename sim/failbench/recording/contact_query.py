@@ -10,9 +10,7 @@ import numpy as np
 
 from failbench.simulated.moving_entities import set_entity_poses
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 NOBODY, ROBOT, CARRIED, OBSTACLE = -1, -2, -3, -4
 """Owners of geoms other than entities; entities are numbered from 0."""

@@ -9,9 +9,7 @@ import numpy as np
 from failbench.recording.bounds import Bounds
 from failbench.recording.contact_query import ContactQuery
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 FALLEN = 0.05
 """Descent of both an entity's body origin and its lowest point above which it counts as fallen [m]. An entity that only

@@ -23,9 +23,7 @@ from failbench.simulated.moving_entities import EntityPoses, append_entity_state
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,10 +17,8 @@ from failbench.recording.contact_query import NOBODY, ContactQuery
 from failbench.recording.records import ContactEvent
 from failbench.simulated.world import World
 from graceful_plan import Granular
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.rules.vessel import REPOSE
-
-Array = np.ndarray
 
 DEPTH = 0.002
 """Depth of a puddle [m]: water at a contact angle of 45 degrees stands at 2.1 mm."""

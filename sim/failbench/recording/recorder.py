@@ -19,9 +19,7 @@ from failbench.recording.records import ContactEvent
 from failbench.recording.secondary import Secondary
 from failbench.recording.spill import Spill
 from failbench.simulated.world import SENSOR_SIZE, World
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 BLOCK = 50
 """Steps per processed block. Blocks are counted from the onset, so segment boundaries do not change results."""

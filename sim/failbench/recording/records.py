@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from failbench.fault.fault import Fault
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_whole, plain_numbers
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +35,7 @@ class RolloutRequest:
         if not is_whole(self.seed) or self.seed < 0:
             raise SettingError("seed", self.seed, "a whole number, at least 0")
         for name, value in (("onset", self.onset), ("weight", self.weight)):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SettingError(name, value, "a finite number >= 0")
+            not_negative(name, value)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,7 @@ from failbench.recording.bounds import Bounds
 from failbench.recording.contact_query import ContactQuery
 from failbench.recording.records import ContactEvent
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 STRIDE = 5
 """Steps between samples."""

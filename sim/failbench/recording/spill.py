@@ -18,10 +18,8 @@ from failbench.recording.puddle import Parcel, Puddles
 from failbench.recording.records import ContactEvent
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
-
-Array = np.ndarray
 
 STRIDE = CHECKPOINT
 """Steps between samples of the container's motion; the healthy run is sampled at its checkpoints."""

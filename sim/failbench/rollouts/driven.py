@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
 from failbench.simulated.world import World
 from graceful_plan import Trajectory
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.mobile.optional import import_mobile
-
-Array = np.ndarray
 
 TICK = 10
 """Steps between commands of the loop."""

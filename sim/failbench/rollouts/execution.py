@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
@@ -13,36 +12,36 @@ from numpy.typing import ArrayLike
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
+from failbench.rollouts.healthy_checks import (
+    check_range,
+    check_tracking,
+    displacement,
+    is_allowed,
+    touched_pairs,
+    why_lost,
+)
 from failbench.rollouts.healthy_commands import joint_commands, motion_commands
 from failbench.rollouts.healthy_run import HealthyRun, drive, joined, settled, simulate
 from failbench.rollouts.healthy_touches import HealthyTouches
 from failbench.rollouts.stops_ahead import StopsAhead
 from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.rolling import PLANAR
-from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
+from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
 from failbench.simulated.stiction import SURFACE, Stiction
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import real_array
-from graceful_plan.scene.fingers import gap_between
-
-Array = np.ndarray
 
 LONGEST = 200.0
 """Longest motion and horizon [s]; states and commands of all steps are kept in memory."""
 _TRACKING = 0.05
 """Tracking error above which a joint counts as not following [rad or m]."""
-_STRAYING = (0.2, 0.2, 0.35)
-"""Tracking error of a base along x, y [m] and heading [rad] above which it counts as not following. In tight curves a
-skid-steer is held at an angle of up to 0.15 rad to its path, so that its origin stays on the path."""
 _SLIP = 0.02
 """Displacement in the tool frame above which an object counts as lost [m]."""
 _DRAWS = 50
 """Largest number of times that deviations of moving entities are drawn again; then they follow their predictions."""
-_TOUCH = 5e-4
-"""Distance up to which a finger counts as touching [m]; contacts of the simulation are soft."""
 _FALL = 1.0
 """Simulated time after a healthy run loses its object [s], equal to the default horizon of rollouts."""
 
@@ -240,7 +239,7 @@ def execute(
     whole = trajectory.duration if base is None or not free else min(base.seconds, LONGEST)
     steps = max(1, int(np.ceil(whole / dt - 1e-9)))
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
-    _check_range(wanted, tolerance, world, dt)
+    check_range(wanted, tolerance, world, dt)
     command = motion_commands(trajectory, world, steps)
     loop = None
     with warnings_counted_only():
@@ -258,8 +257,8 @@ def execute(
         if free:
             error[:, :PLANAR] = 0.0
             trajectory = _as_driven(world, trajectory, run, dt)
-        _check_tracking(error, tolerance, world, dt)
-        slip = _slip(run.xpos, run.xquat, world)
+        check_tracking(error, tolerance, world, dt)
+        slip = displacement(run.xpos, run.xquat, world)
         stays = slip <= _SLIP
         lost = None if stays.all() else int(stays.argmin())
         if lost is not None:
@@ -267,7 +266,7 @@ def execute(
             run = joined([run, simulate(world, batch, fall, run.states[-1:], stiction)])
     healthy = _healthy(world, run, lost)
     if lost is not None:
-        problem = _why_lost(world, start, float(slip[lost]))
+        problem = why_lost(world, start, float(slip[lost]))
         raise ObjectLost(f"the object {world.model.body(world.carried_body).name!r}", (lost + 1) * dt, problem, healthy)
     states = run.states[::CHECKPOINT].copy()
     measured = _measured(world, run.states)
@@ -278,41 +277,13 @@ def execute(
         states=states,
         command=command,
         measured=measured,
-        baseline=_touched(world, run.sensordata),
+        baseline=touched_pairs(world, run.sensordata),
         tracking_error=error.max(axis=0),
         slip=float(slip.max()),
         healthy=healthy,
         base=base,
         loop=loop,
     )
-
-
-def _why_lost(world: World, start: Float[Array, " state"], slip: float) -> str:
-    """Return why a healthy gripper loses the object, and the remedy.
-
-    Args:
-        world: The simulated world.
-        start: State at the beginning of the motion, when the fingers have closed.
-        slip: Displacement of the object [m].
-    """
-    model, remedy = world.model, "use SimSettings(grasp='weld')"
-    if world.robot.weld >= 0 or not len(world.robot.pads):
-        return f"it has slipped by {slip:.3g} m; slow the motion down, or {remedy}"
-    data, geoms = mujoco.MjData(model), world.scene.components["carried"].geoms
-    mujoco.mj_setState(model, data, start, int(STATE))
-    mujoco.mj_kinematics(model, data)
-    gaps: dict[int, float] = {}
-    for pad in world.robot.pads.tolist():
-        part = int(model.body_weldid[model.geom_bodyid[pad]])
-        gaps[part] = min(gaps.get(part, np.inf), gap_between(model, data, [pad], geoms))
-    near = [model.body(part).name for part, gap in gaps.items() if gap <= _TOUCH]
-    if not near:
-        what = "no finger touches it" if len(world.robot.gripper_joints) else "the gripper does not touch it"
-        away = f"{1e3 * min(gaps.values()):.0f} mm away"
-        return f"{what} ({away}) although the gripper is closed; change the grasp (at=, X_TO=), or {remedy}"
-    if len(near) == 1 and len(world.robot.gripper_joints):
-        return f"only {near[0]} touches it; change the grasp (at=, X_TO=), or {remedy}"
-    return f"it has slipped by {slip:.3g} m; slow the motion down, press harder, or {remedy}"
 
 
 def _planned(world: World) -> Array:
@@ -336,60 +307,12 @@ def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 
     return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 
 
-def _touched(world: World, sensordata: Float[Array, "step sensordata"]) -> frozenset[tuple[str, str]]:
-    """Return the pairs of component and entity that touch at any step."""
-    felt = np.any(sensordata[:, world.sensor_adr] > 0.0, axis=0)
-    return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches)
-
-
 def _healthy(world: World, run: HealthyRun, lost: int | None) -> HealthyHarm:
     """Compute the harm of a run in which the object is lost at step `lost`, or not at all (None).
 
     Touches at the beginning are left out, and so are touches that the scene allows while the object is held.
     """
-    at_first, held = _touched(world, run.sensordata[:1]), _touched(world, run.sensordata[:lost])
-    allowed = at_first | {pair for pair in held - at_first if _is_allowed(world, *pair)}
+    at_first, held = touched_pairs(world, run.sensordata[:1]), touched_pairs(world, run.sensordata[:lost])
+    allowed = at_first | {pair for pair in held - at_first if is_allowed(world, *pair)}
     steps = HealthySteps(run.sensordata, run.states)
     return healthy_harm(world, steps, touched=lost is not None or bool(held - allowed), allowed=allowed)
-
-
-def _is_allowed(world: World, component: str, entity: str) -> bool:
-    """Return whether the scene allows a component to touch an entity, for example an object its support."""
-    scene = world.scene
-    pairs = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
-    own, other = scene.components[component].geoms, scene.entities[entity].geoms
-    return any((min(a, b), max(a, b)) in pairs for a in own for b in other)
-
-
-def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
-    low, high = world.scene.limits.position.T
-    off = np.argwhere((wanted < low - tolerance) | (wanted > high + tolerance))
-    if len(off):
-        step, joint = (int(i) for i in off[0])
-        problem = f"its target is {wanted[step, joint]:.3g}, its range is {low[joint]:.3g} to {high[joint]:.3g}"
-        raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
-
-
-def _check_tracking(error: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
-    most = np.full(error.shape[1], tolerance)
-    if world.rolling is not None:
-        most[:PLANAR] = np.maximum(tolerance, _STRAYING)
-    off = np.argwhere(~(error <= most))
-    if len(off):
-        step, joint = (int(i) for i in off[0])
-        problem = f"{error[step, joint]:.3g} rad from the trajectory, {most[joint]:g} are allowed; slow the motion down"
-        raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
-
-
-def _slip(
-    xpos: Float[Array, "step body xyz"], xquat: Float[Array, "step body wxyz"], world: World
-) -> Float[Array, " step"]:
-    """Return the displacement of the carried object from its first position, in the tool's frame [m]."""
-    if world.carried_body < 0:
-        return np.zeros(len(xpos))
-    from scipy.spatial.transform import Rotation
-
-    tool = int(world.model.site(world.scene.tool).bodyid[0])
-    turned = Rotation.from_quat(xquat[:, tool], scalar_first=True)
-    place = turned.apply(xpos[:, world.carried_body] - xpos[:, tool], inverse=True)
-    return np.linalg.norm(place - place[0], axis=-1)

@@ -8,10 +8,8 @@ import numpy as np
 from failbench.simulated.rolling import PLANAR, lifted
 from failbench.simulated.world import World
 from graceful_plan import Trajectory
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.timing.dynamics import RobotDynamics
-
-Array = np.ndarray
 
 
 def motion_commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:

@@ -17,9 +17,7 @@ from failbench.simulated.rolling import lifted
 from failbench.simulated.states import STATE, control_spec
 from failbench.simulated.stiction import EVERY, Stiction
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 _SETTLE = 0.4
 """Time for the fingers to close and the scene to come to rest before the motion begins [s]."""

@@ -8,9 +8,7 @@ import numpy as np
 from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
-from graceful_plan.array_types import Bool, Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Bool, Float, Int
 
 
 class HealthyTouches:

@@ -13,8 +13,7 @@ from failbench.rollouts.driven import TICK, WheelPlan
 from failbench.simulated.simulation import Simulation
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
-
-Array = np.ndarray
+from graceful_plan.array_types import Array
 
 _RAMP_STEPS = 5
 """Steps between updates of the level along a ramp."""

@@ -23,8 +23,7 @@ from failbench.simulated.moving_entities import append_entity_states
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.states import CHECKPOINT, control_spec, put, warnings_counted_only
 from failbench.simulated.world import World
-
-Array = np.ndarray
+from graceful_plan.array_types import Array
 
 _COUNT = 1
 """Column of a simulation's warnings that counts them."""

@@ -15,11 +15,9 @@ import numpy as np
 from failbench.basics.onset import Onset
 from failbench.fault.fault import Fault
 from failbench.recording.records import RolloutRequest
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_whole
-
-Array = np.ndarray
 
 Prediction = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 """Returns the predicted impact of a failure at times after the start of a trajectory [s]; >= 0."""

@@ -7,14 +7,12 @@ import numpy as np
 
 from failbench.simulated.rolling import PLANAR
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.elements import Adhesion
 from graceful_plan.scene.equalities import actuated
 from graceful_plan.scene.fingers import Hand, Stroke, find_stroke
 from graceful_plan.scene.rules.grip import HAND_FORCE, find_grip, hand_of
-
-Array = np.ndarray
 
 _BANDWIDTH = 0.2
 """Natural frequency of servos, times the time step: 100 rad/s at 2 ms, far from instability. Without feed-forward, an

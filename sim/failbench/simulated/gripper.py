@@ -9,12 +9,10 @@ import numpy as np
 
 from failbench.simulated.added_drives import ADHESION, adhesion_of
 from graceful_plan import Scene
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.scene.fingers import Hand, clear_share, find_stroke, moving_bodies
 from graceful_plan.scene.model_parts import colliding_geoms
 from graceful_plan.scene.rules.grip import hand_of
-
-Array = np.ndarray
 
 
 class Gripper(NamedTuple):

@@ -14,11 +14,9 @@ import mujoco
 import numpy as np
 
 from graceful_plan import MovingEntity, Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.elements import EntityAnnotation
-
-Array = np.ndarray
 
 REACTIONS = ("walk", "stop", "aside")
 """Possible reactions of people to a failure: walk on, stop, or stop and step aside."""

@@ -9,9 +9,7 @@ import mujoco
 import numpy as np
 
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 PERIOD = 50
 """Steps between checks of the carried object."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError, UnknownNameError
-
-Array = np.ndarray
 
 GROUPS = ("any", "all", "gripper", "robot")
 """Target names that stand for groups of parts, in addition to joint names."""

@@ -14,12 +14,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan import Scene
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import KEEP_OUT
-
-Array = np.ndarray
 
 PLANAR = 3
 """Number of planned joints of a base."""

@@ -10,10 +10,8 @@ from failbench.simulated.gripper import Gripper, clear_opening
 from failbench.simulated.robot import Robot
 from failbench.simulated.rolling import PLANAR, driven_joints, kept_joints, lifted, same_side
 from graceful_plan import Scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnsupportedError
-
-Array = np.ndarray
 
 STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 """Solver impedance of a constraint, as stiff as the solver allows."""

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from failbench.simulated.robot import Robot
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import UnknownNameError
 
 if TYPE_CHECKING:
     from failbench.simulated.world import World
-
-Array = np.ndarray
 
 
 @dataclass(kw_only=True, eq=False)

@@ -6,12 +6,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 import mujoco
-import numpy as np
 from mujoco.batch import Batch
 
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5

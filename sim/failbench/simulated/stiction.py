@@ -18,9 +18,7 @@ from mujoco.batch import Batch
 
 from failbench.simulated.rest import PERIOD
 from failbench.simulated.world import World
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 SURFACE = "geom_surfacevel"
 """The field of MuJoCo's model with the velocity of the surfaces."""

@@ -25,13 +25,11 @@ from failbench.simulated.rolling import (
 )
 from failbench.simulated.servos import STIFF, actuator_of, tuned_robot
 from graceful_plan import MovingEntity, Scene
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.couplings import ties_to_loose
 from graceful_plan.scene.roles import free_joint
-
-Array = np.ndarray
 
 SENSOR_SIZE = 7
 """Values per contact sensor: number of contacts, net force in W [N], position in W [m]."""

@@ -13,6 +13,7 @@ from failbench.simulated.simulation import Simulation
 from failbench.surroundings.disturbance import PARKED, Disturbance, go, tool_at
 from graceful_plan import MovingEntity
 from graceful_plan.exceptions import SettingError
+from graceful_plan.setting_checks import not_negative, positive
 
 _HALF_TURN = math.pi / 2.0
 
@@ -43,10 +44,8 @@ class PersonWalksIn(Disturbance):
         super().__post_init__()
         for name in ("distance", "radius", "height"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise SettingError(name, value, "a finite length above 0 m")
-        if not (math.isfinite(self.passing) and self.passing >= 0.0):
-            raise SettingError("passing", self.passing, "a finite length of at least 0 m")
+            positive(name, value, "a finite length above 0 m")
+        not_negative("passing", self.passing, "a finite length of at least 0 m")
 
     def visitor(self) -> MovingEntity:
         """Return the person, parked away from the scene."""

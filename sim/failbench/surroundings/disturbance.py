@@ -12,9 +12,8 @@ from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.simulation import Simulation
 from failbench.simulated.world import World
 from graceful_plan import MovingEntity, Scene
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
-
-Array = np.ndarray
 
 PARKED = (60.0, 60.0, -30.0)
 """Parking position of visitors that have not appeared yet: far away and below the floor, in W [m]."""

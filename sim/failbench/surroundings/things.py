@@ -14,7 +14,8 @@ from failbench.fault.drives import GRIP, cut_overloaded_weld
 from failbench.simulated.simulation import Simulation
 from failbench.surroundings.disturbance import PARKED, Disturbance, go, movable, tool_at, world_of
 from graceful_plan import MovingEntity
-from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.setting_checks import positive
 
 PUSH = 0.05
 """Duration of a push, and of half a bump [s]."""
@@ -148,8 +149,7 @@ class AddedObject(Disturbance):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.size) and self.size > 0.0):
-            raise SettingError("size", self.size, "a finite length above 0 m")
+        positive("size", self.size, "a finite length above 0 m")
 
     def visitor(self) -> MovingEntity:
         """Return the object, parked away from the scene."""

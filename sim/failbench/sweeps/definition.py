@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_type_hints
 
 import graceful_plan as gp
 from failbench.basics.chunks import Chunk
@@ -20,10 +21,15 @@ from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError, naming
 from graceful_plan.formats.samples import text_of
 from graceful_plan.path import plain_numbers
-from graceful_plan.untrusted_json import parse_json
+from graceful_plan.untrusted_json import check_form, parse_json
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
+_FORM = {"schema": str, "version": int, "motions": list, "faults": list, "settings": dict}
+_FORM |= {"rollouts": int, "horizon": float, "seed": int}
+_MOTION = {"name": str, "scene": str, "task": (str, NoneType), "grasp": (str, NoneType)}
+_MOTION |= {"plan": (dict, NoneType), "trajectory": (dict, NoneType)}
+"""Types of the values of a document, and of a motion in it."""
 
 CHUNK = 32
 """Greatest number of rollouts in a chunk: one batch of simulations, at most a second of work."""
@@ -193,23 +199,21 @@ class Sweep:
 
     @classmethod
     def _read(cls, document: Any, source: str) -> Sweep:
-        own = {field.name for field in fields(cls)}
-        _check_keys(source, document, {"schema", "version", *own})
+        check_form(source, document, _FORM)
         for key, value in (("schema", _SCHEMA), ("version", _VERSION)):
             if document[key] != value:
                 raise FormatError(source, f"{key} is {document[key]!r}, this version reads {value!r}")
-        try:
-            motions = tuple(_motion(motion, f"{source}: motion {i}") for i, motion in enumerate(document["motions"]))
-            given: dict[str, Any] = {"people": "walk"} | dict(
-                document["settings"]
-            )  # which earlier documents do not have
-            _check_keys(f"{source}: settings", given, {field.name for field in fields(SimSettings)})
-            settings = SimSettings(**given)
-            faults = tuple(dict(fault.items()) for fault in document["faults"])
-            values = {name: document[name] for name in own - {"motions", "settings", "faults"}}
-            return cls(motions=motions, settings=settings, faults=faults, **values)
-        except (TypeError, ValueError, AttributeError, RecursionError) as error:
-            raise FormatError(source, f"a value of the wrong type: {error}") from None
+        for i, fault in enumerate(document["faults"]):
+            if not isinstance(fault, dict):
+                raise FormatError(source, f"fault {i} has to be an object, not {fault!r:.100}")
+        settings = {"people": "walk"} | document["settings"]  # which earlier documents do not have
+        check_form(f"{source}: settings", settings, get_type_hints(SimSettings))
+        return cls(
+            motions=tuple(_motion(motion, f"{source}: motion {i}") for i, motion in enumerate(document["motions"])),
+            faults=tuple(map(dict, document["faults"])),
+            settings=SimSettings(**settings),
+            **{name: document[name] for name in ("rollouts", "horizon", "seed")},
+        )
 
     @classmethod
     def from_json(cls, file: str | Path) -> Sweep:
@@ -280,15 +284,10 @@ def _task(scene: str, task: str) -> gp.Task:
 
 
 def _motion(document: Any, source: str) -> SweepMotion:
-    _check_keys(source, document, {field.name for field in fields(SweepMotion)})
+    check_form(source, document, _MOTION)
     plan, trajectory = document["plan"], document["trajectory"]
-    for key in ("name", "scene", "task", "grasp"):
-        if not isinstance(document[key], str) and not (key in ("task", "grasp") and document[key] is None):
-            raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
-        _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
-    if trajectory is not None and not isinstance(trajectory, dict):  # a text would be read as a file name
-        raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
+        check_form(f"{source}: plan", plan, get_type_hints(PlanSettings))
     return SweepMotion(
         name=document["name"],
         scene=document["scene"],
@@ -297,12 +296,3 @@ def _motion(document: Any, source: str) -> SweepMotion:
         trajectory=None if trajectory is None else Trajectory.from_json(json.dumps(trajectory)),
         grasp=document["grasp"],
     )
-
-
-def _check_keys(source: str, document: Any, expected: set[str]) -> None:
-    if not isinstance(document, dict):
-        raise FormatError(source, f"an object is expected, not {type(document).__name__}")
-    for problem, keys in (("missing", expected - document.keys()), ("unknown", document.keys() - expected)):
-        if keys:
-            valid = ", ".join(sorted(expected))
-            raise FormatError(source, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")

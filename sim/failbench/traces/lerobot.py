@@ -20,12 +20,12 @@ from failbench.sweeps.definition import Sweep
 from failbench.sweeps.work import execution_of
 from failbench.traces.folder import chosen, make_folder, traced
 from failbench.traces.trace import Sampling
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = np.ndarray
 
 _FILE = "chunk-000/file-000.parquet"
 _COUNTS = {

@@ -22,10 +22,10 @@ from failbench.rollouts.execution import Execution
 from failbench.rollouts.sampling import check_whole
 from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import warnings_counted_only
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
 
-Array = np.ndarray
 Rows = dict[str, list[dict[str, Any]]]
 """Rows by table: "steps", "points" and "images"."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.analysis.certified_clearance import certified_clearance
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
@@ -23,8 +23,6 @@ from graceful_plan.result import Certificate, PlanResult
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 
 def certify(

@@ -17,14 +17,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.judge.motion_samples import at_places, joint_travel
 from graceful_plan.path import Path
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 ROUNDING = 2e-5
 """Largest error of a clearance from single precision [m]: arm lengths to seven digits, summed along the arm."""

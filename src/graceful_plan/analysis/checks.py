@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
@@ -13,8 +13,6 @@ from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 def clearance(q: ArrayLike, scene: Scene) -> Float[Array, "*batch"]:

@@ -15,18 +15,17 @@ from typing import Any, final
 import numpy as np
 
 from graceful_plan import documents
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost_samples import CostSamples
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import CostError, SettingError
-from graceful_plan.path import Path, is_real
+from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult
 from graceful_plan.scene.elements import Carried
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import finite
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 STRETCH = 0.9
 """Share of a contribution that lies on its reported stretch."""
@@ -165,8 +164,7 @@ def explain(
     objective = objective or Objective()
     if not isinstance(objective.impact, ImpactCost):
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not resolve entities")
-    if not (is_real(start_time) and np.isfinite(start_time)):
-        raise SettingError("start_time", start_time, "a finite time [s]")
+    finite("start_time", start_time, "a finite time [s]")
     if isinstance(motion, PlanResult):
         if motion.trajectory is None:
             raise PlanningFailed(motion)

@@ -12,12 +12,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _NAME = "object_gantry"
 _RANGE = 1000.0  # of the slides, in both directions [m]

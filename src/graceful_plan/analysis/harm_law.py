@@ -12,13 +12,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.cost import Cost, NonFiniteCostError, StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _MOST_SUMS = 1024
 """Largest number of distinct sums of severities for an exact distribution; also the number of grid points otherwise."""

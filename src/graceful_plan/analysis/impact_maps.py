@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from graceful_plan import documents
 from graceful_plan.analysis.checks import clearance
 from graceful_plan.analysis.gantry import gantry_scene
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
@@ -32,8 +32,7 @@ from graceful_plan.judge.motion_samples import reach
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 DIRECTIONS = 8
 """Number of directions of motion over which a map is averaged if no direction is given."""
@@ -261,8 +260,7 @@ def _bounds(scene: Scene, tables: DropTables, surface: float) -> tuple[float, fl
 
 def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
     box = finite_array("bounds", np.array(bounds), ndim=1, last=4).reshape(2, 2)
-    if not (is_real(resolution) and 0.0 < resolution < np.inf):
-        raise SettingError("resolution", resolution, "a finite width of cells above 0 [m]")
+    positive("resolution", resolution, "a finite width of cells above 0 [m]")
     if not np.all(box[:, 0] < box[:, 1]):
         raise SettingError("bounds", bounds, "least x, greatest x, least y, greatest y [m]")
     counts = np.maximum(1.0, np.round((box[:, 1] - box[:, 0]) / resolution))

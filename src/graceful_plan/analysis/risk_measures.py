@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.analysis.harm_law import HarmLaw
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.cost_samples import trajectory_batch
@@ -44,11 +44,10 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import Path, finite_array, is_real, plain_numbers, real_array
+from graceful_plan.path import Path, finite_array, plain_numbers, real_array
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import finite, positive_fraction
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 NEGLIGIBLE = 1e-3
 """Probability, given a failure, up to which an impact is ignored for the worst case."""
@@ -207,10 +206,8 @@ def risk(
         SettingError: If a setting is invalid, or `impact` has no interaction model.
     """
     check_level(level)
-    if not (is_real(start_time) and np.isfinite(start_time)):
-        raise SettingError("start_time", start_time, "a finite time [s]")
-    if not 0.0 < speed <= 1.0:
-        raise SettingError("speed", speed, "a fraction in (0, 1]")
+    finite("start_time", start_time, "a finite time [s]")
+    positive_fraction("speed", speed, "a fraction in (0, 1]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost).bind(scene, (speed, speed))

@@ -11,7 +11,6 @@ computed once; the rest is linear algebra. All paths are compared under the same
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -19,16 +18,15 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path, real_array
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import not_negative
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 INTERVAL = (0.025, 0.975)
 """Quantiles that bound the reported intervals."""
@@ -134,8 +132,7 @@ def severity_sensitivity(
     goal = Objective() if objective is None else objective
     if not isinstance(goal.impact, ImpactCost):
         raise SettingError("objective", goal.impact, "one whose impact is an ImpactCost, a sum over severities")
-    if not (math.isfinite(spread) and spread >= 0.0):
-        raise SettingError("spread", spread, "a finite number of at least 0")
+    not_negative("spread", spread)
     if n < 1 or n * max(1, len(scene.entities)) > _MOST:
         raise SettingError("n", n, f"at least 1, and at most {_MOST} draws times entities")
     if seed < 0:

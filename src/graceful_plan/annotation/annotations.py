@@ -19,6 +19,7 @@ from graceful_plan.scene.elements import EntityAnnotation
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable, check_severity
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import fraction
 from graceful_plan.yaml_file import Block, read_yaml
 
 _HEAD = """\
@@ -57,8 +58,7 @@ class Annotation:
         plain_numbers(self)
         if not (is_real(self.fragility) and 0.0 < self.fragility <= MOST_FRAGILITY):
             raise SettingError("fragility", self.fragility, f"a number above 0 and at most {MOST_FRAGILITY:g}")
-        if not (is_real(self.significance) and 0.0 <= self.significance <= 1.0):
-            raise SettingError("significance", self.significance, "a number from 0 to 1")
+        fraction("significance", self.significance, "a number from 0 to 1")
         row = {name: check_severity(f"severity of {name}", value) for name, value in self.severity.items()}
         object.__setattr__(self, "severity", MappingProxyType(row))
 

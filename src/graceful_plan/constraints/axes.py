@@ -8,7 +8,7 @@ from typing import ClassVar, final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
@@ -17,8 +17,6 @@ from graceful_plan.path import is_real, plain_numbers, real_array
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 @final

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
 
-Array = np.ndarray
 DriveLimits = Callable[[DiffDrive, CurveGrid], Float[Array, "interval limit 3"]]
 """Maps a base and a curve to limits a u + b x <= c on path acceleration u and squared path speed x."""
 

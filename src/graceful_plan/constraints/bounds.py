@@ -8,7 +8,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.arrays import BoundArrays, RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
@@ -16,7 +16,6 @@ from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.rules.rules import AxisRule, BoxRule, DistanceRule, Rule
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 Numbers = tuple[float, ...]
 
 

@@ -11,14 +11,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Contract, StateBatch
 from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.path import real_array
 from graceful_plan.scene.rules.rules import CustomRule, Rule
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _NUDGE = 1e-5
 """Step of the finite differences that replace a missing gradient [rad]."""

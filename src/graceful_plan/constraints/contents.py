@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.axes import axis_residual
 from graceful_plan.constraints.bounds import frame_in_link
 from graceful_plan.constraints.slosh import Slosh
@@ -16,12 +16,11 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.rules.rules import AxisRule, ContentsRule
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_fraction
 
 _AT_REST = 0.9
 """Fraction of `specific_force_angle` that the tilt may use at rest; the rest is left for accelerations."""
@@ -56,8 +55,7 @@ class KeepContents(SpecificForceConstraint):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (is_real(self.share) and 0.0 < self.share <= 1.0):
-            raise SettingError("share", self.share, "above 0 and at most 1")
+        positive_fraction("share", self.share)
 
     def rule(self, scene: Scene) -> ContentsRule:
         """Return the rule for a scene; raise if no vessel with contents is carried."""

@@ -7,19 +7,18 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.arrays import WorldArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.rules.rules import DistanceRule
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 _FAR = 1e3
 """Distance to report where nothing is near [m]."""
@@ -40,8 +39,7 @@ class KeepDistance(Constraint):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (np.isfinite(self.metres) and self.metres > 0.0):
-            raise SettingError("metres", self.metres, "a finite distance above 0 m")
+        positive("metres", self.metres, "a finite distance above 0 m")
 
     def rule(self, scene: Scene) -> DistanceRule:
         """Return the rule for a scene; raise if the scene has no such entity."""

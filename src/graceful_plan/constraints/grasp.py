@@ -24,20 +24,19 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.bounds import frame_in_link
 from graceful_plan.constraints.specific_force import SpecificForceConstraint, SpecificForceLoad
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import AdhesiveGrip, Grip, find_hold
 from graceful_plan.scene.rules.rules import AxisRule, GripRule
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_fraction, positive_or_none
 
 _AT_REST = 0.95
 """Fraction of the pads' capacity that the load may use at rest; the rest is left for accelerations."""
@@ -74,10 +73,8 @@ class GraspHolds(SpecificForceConstraint):
     def __post_init__(self) -> None:
         plain_numbers(self)
         for name, value in (("friction", self.friction), ("force", self.force)):
-            if value is not None and not (is_real(value) and 0.0 < value < np.inf):
-                raise SettingError(name, value, "a finite number above 0")
-        if not (is_real(self.share) and 0.0 < self.share <= 1.0):
-            raise SettingError("share", self.share, "above 0 and at most 1")
+            positive_or_none(name, value)
+        positive_fraction("share", self.share)
 
     def rule(self, scene: Scene) -> GripRule:
         """Return the rule for a scene; raise if nothing is held between two pads."""

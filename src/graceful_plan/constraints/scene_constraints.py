@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.constraints.base_limits import base_limits
 from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
@@ -34,10 +34,8 @@ from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.retiming import retime, timed
-from graceful_plan.timing.topp import Restraint, SpecificForceLevels
+from graceful_plan.timing.topp import AT_REST, EndSpeeds, Restraint, SpecificForceLevels
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _CAREFUL = 0.6
 """Fraction of the brim tilt that the specific force may use in searches and first descents; sloshing gets the rest."""
@@ -142,8 +140,7 @@ class SceneConstraints:
         *,
         speed: float = 1.0,
         slower: Restraint | None = None,
-        start_speed: float = 0.0,
-        end_speed: float = 0.0,
+        ends: EndSpeeds = AT_REST,
     ) -> Trajectory:
         """Time a curve such that all limits hold along it and no contents spill.
 
@@ -155,8 +152,7 @@ class SceneConstraints:
             curve: The curve.
             speed: Fraction of the limits to use; see `retime`.
             slower: Further limits on path acceleration and speed.
-            start_speed: Size of the velocity at the start [rad/s].
-            end_speed: Size of the velocity at the end [rad/s].
+            ends: Speeds at both ends.
 
         Raises:
             RetimingError: If a limit is violated even at rest somewhere along the curve, or no motion has these speeds.
@@ -168,8 +164,7 @@ class SceneConstraints:
             speed=speed,
             restraint=self.restraint(slower),
             felt=self.felt_levels,
-            start_speed=start_speed,
-            end_speed=end_speed,
+            ends=ends,
         )
 
     def retimed(
@@ -178,8 +173,7 @@ class SceneConstraints:
         *,
         deviation: float | Float[Array, " corner"],
         speed: float = 1.0,
-        start_speed: float = 0.0,
-        end_speed: float = 0.0,
+        ends: EndSpeeds = AT_REST,
     ) -> Trajectory:
         """Time a polyline as `timed` does, with its corners cut by up to `deviation`; see `retime`."""
         return retime(
@@ -190,8 +184,8 @@ class SceneConstraints:
             speed=speed,
             restraint=self.restraint(None),
             felt=self.felt_levels,
-            start_speed=start_speed,
-            end_speed=end_speed,
+            start_speed=ends.start,
+            end_speed=ends.end,
         )
 
     @cached_property

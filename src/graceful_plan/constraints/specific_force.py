@@ -19,15 +19,13 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core import _native
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 FACETS = 8
 """Sides of the pyramid inscribed in the cone: at worst it reduces the tangent by 1 - cos(pi / 8), 8 %."""

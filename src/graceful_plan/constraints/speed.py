@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.distance import distance_kernels
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.scene.rules.rules import SpeedRule
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
-
-Array = np.ndarray
 
 _RESERVE = 0.99
 """Fraction of the limit to use: the tool may be slightly faster between grid points."""

@@ -14,7 +14,7 @@ from typing import ClassVar, final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.axes import axis_residual, standing_axis
 from graceful_plan.constraints.bounds import frame_in_link
 from graceful_plan.constraints.specific_force import SpecificForceCone, SpecificForceConstraint
@@ -22,12 +22,11 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, StandsRule
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_fraction, positive_or_none
 
 _AT_REST = 0.9
 """Fraction of the angle that the tilt may use at rest; the rest is left for accelerations."""
@@ -61,10 +60,8 @@ class KeepStanding(SpecificForceConstraint):
         plain_numbers(self)
         for name in ("height", "support", "friction"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise SettingError(name, value, "a finite number above 0")
-        if not (is_real(self.share) and 0.0 < self.share <= 1.0):
-            raise SettingError("share", self.share, "above 0 and at most 1")
+            positive_or_none(name, value)
+        positive_fraction("share", self.share)
 
     def rule(self, scene: Scene) -> StandsRule:
         """Return the rule for a scene.

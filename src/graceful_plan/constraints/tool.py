@@ -8,15 +8,14 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import finite_array, is_real, plain_numbers
+from graceful_plan.path import finite_array, plain_numbers
 from graceful_plan.scene.rules.rules import BoxRule, SpeedRule, Vector
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 
 @final
@@ -81,8 +80,7 @@ class ToolSpeed(Constraint):
         plain_numbers(self)
         for name in ("limit", "within"):
             value = getattr(self, name)
-            if not (is_real(value) and 0.0 < value < np.inf):
-                raise SettingError(name, value, "a finite number above 0")
+            positive(name, value)
 
     def rule(self, scene: Scene) -> SpeedRule:
         """Return the rule for a scene; raise if the scene has no such entity."""

@@ -16,20 +16,19 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.body.body import native_model
 from graceful_plan.costs.models.body.constants import BodySettings
-from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.exceptions import RetimingError, UnsupportedError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.rules.rules import TorqueRule
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import positive_fraction
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.dynamics import RobotDynamics
-
-Array = np.ndarray
 
 _AT_REST = 0.95
 """Fraction of the allowed torque that may hold the robot at rest; the rest is left for accelerations."""
@@ -54,8 +53,7 @@ class TorqueWithin(Constraint):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not (is_real(self.share) and 0.0 < self.share <= 1.0):
-            raise SettingError("share", self.share, "above 0 and at most 1")
+        positive_fraction("share", self.share)
 
     def rule(self, scene: Scene) -> TorqueRule:
         """Return the rule for a scene; raise if the scene limits no torque."""

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 OBSTACLE_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 """Kinds of obstacles, in MuJoCo's geom-type order; the index is the code in `WorldArrays.kind`."""

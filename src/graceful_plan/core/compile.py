@@ -18,7 +18,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.covers import GroupCover, geom_name, group_cover
 from graceful_plan.core.frames import MovingFrames, moving_frames, pose_matrix, reference_data
@@ -31,8 +31,6 @@ from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.specs import within_memory
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _FACTORS = (1.0, 1.5, 2.0, 3.0)

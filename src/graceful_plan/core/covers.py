@@ -16,12 +16,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan import disk_cache
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import greedy_cover, sphere_cover
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.exceptions import UnsupportedError
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 GEOM_KINDS = {

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.model_parts import body_joints, subtree
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import PlacementPool
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)

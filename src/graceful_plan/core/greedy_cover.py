@@ -10,11 +10,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core import _native
 from graceful_plan.core.sphere_cover import MAX_PROTRUSION, Cover
 
-Array = np.ndarray
 CANDIDATES = 40
 """Number of balls compared at each step of the greedy cover of a hull."""
 _BETWEEN_FACES = 2e-4

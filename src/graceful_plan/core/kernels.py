@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core import _native
 from graceful_plan.core.arrays import BoundArrays, ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
-
-Array = np.ndarray
+from graceful_plan.setting_checks import finite
 
 CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
@@ -347,5 +346,4 @@ class ImpactKernel:
 
 
 def _check_margin(margin: float) -> None:
-    if not np.isfinite(margin):
-        raise SettingError("margin", margin, "a finite distance [m]")
+    finite("margin", margin, "a finite distance [m]")

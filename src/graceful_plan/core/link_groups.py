@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.core.frames import MovingFrames, moving_frames, reference_data
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.arrays import OBSTACLE_TYPES, WorldArrays
 from graceful_plan.core.covers import GEOM_KINDS, geom_name, hull_triangles
 from graceful_plan.core.link_groups import LinkGroup
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 

@@ -20,13 +20,11 @@ import mujoco
 import numpy as np
 
 from graceful_plan import disk_cache
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _SAMPLES, _SAMPLES_OF_MESHES, _FIRST = 4000, 16_000, 256
 """Numbers of configurations drawn uniformly within the limits: for primitives, for meshes, and the first batch. If

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 MAX_PROTRUSION = 0.0095
 """Largest protrusion of a cover from its geom [m]; the rest of the promised 1 cm is for float32 and samples."""

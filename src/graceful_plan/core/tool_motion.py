@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
-
-Array = np.ndarray
 
 _DAMPING = 1e-9
 """Damping of steps; keeps them finite near singular postures."""

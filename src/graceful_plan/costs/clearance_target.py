@@ -6,15 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.core.arrays import WorldArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 SURROUNDINGS, SELF = "surroundings", "self"
 

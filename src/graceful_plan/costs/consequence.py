@@ -30,7 +30,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.drop.loss import CARRIED_LOSS, carried_mass
@@ -39,8 +39,6 @@ from graceful_plan.costs.models.drop.tables import drop_tables, highest_tops
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, moving_model
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
-
-Array = np.ndarray
 
 BODY_ENERGY = 0.5
 """Median energy of the robot's body [J]. Measured: 0.52 in 641 touches after 5400 severe failures of single drives,

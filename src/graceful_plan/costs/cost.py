@@ -15,15 +15,15 @@ from typing import Any, TypeAlias, TypeVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.clearance_target import kernels_for_target
-from graceful_plan.exceptions import CostError, SettingError, ShapeError
+from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import not_negative
 
-Array = np.ndarray
 T = TypeVar("T")
 
 AHEAD = 0.1 * np.arange(1, 11)
@@ -240,8 +240,7 @@ class SumCost(Cost):
         flat = [(factor * inner, cost) for factor, term in self.terms for inner, cost in terms_of(term)]
         object.__setattr__(self, "terms", tuple(flat))
         for factor, cost in flat:
-            if not 0.0 <= factor < np.inf:
-                raise SettingError("factor", factor, f"a finite number >= 0 before {type(cost).__name__}")
+            not_negative("factor", factor, f"a finite number >= 0 before {type(cost).__name__}")
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the cost density at each state."""

@@ -7,14 +7,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import AHEAD, StateBatch, moving_batch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 FARTHEST = 1000.0
 """Largest position and velocity of a joint that the core accepts. Cubics between inconsistent samples may exceed it."""

@@ -6,10 +6,8 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import COST_STEP
-
-Array = np.ndarray
 
 
 @final

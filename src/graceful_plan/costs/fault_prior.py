@@ -26,8 +26,8 @@ from types import MappingProxyType
 from typing import final
 
 from graceful_plan.exceptions import SettingError, UnknownNameError, names_file
-from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of
+from graceful_plan.setting_checks import fraction, not_negative, positive
 from graceful_plan.yaml_file import Block, read_yaml
 
 FAILURES = ("drop", "spill", "collapse", "joint", "stuck", "stray")
@@ -93,16 +93,14 @@ class FaultPrior:
 
     def __post_init__(self) -> None:
         if self.noticed_after is not None:
-            if not is_real(self.noticed_after) or not 0.0 < self.noticed_after < math.inf:
-                raise SettingError("noticed_after", self.noticed_after, "a finite time > 0 s, or None")
+            positive("noticed_after", self.noticed_after, "a finite time > 0 s, or None")
             object.__setattr__(self, "noticed_after", float(self.noticed_after))
         for fault, row in self.effects.items():
             _check_effects(fault, row)
         for fault, rate in self.rates.items():
             if fault not in self.effects:
                 raise UnknownNameError("fault", fault, self.effects)
-            if not is_real(rate) or not 0.0 <= rate < math.inf:
-                raise SettingError(f"rate of {fault}", rate, "a finite number of at least 0 [1/h]")
+            not_negative(f"rate of {fault}", rate, "a finite number of at least 0 [1/h]")
         if not 0.0 < sum(self.rates.values()) < math.inf:
             raise SettingError("rates", dict(self.rates), "a positive one at least, and a finite sum [1/h]")
         rates = {fault: float(self.rates[fault]) for fault in self.effects if fault in self.rates}
@@ -235,8 +233,7 @@ def _check_effects(fault: str, row: Mapping[str, float]) -> None:
     for generator, share in row.items():
         if generator not in GENERATORS:
             raise UnknownNameError("generator", generator, GENERATORS)
-        if not is_real(share) or not 0.0 <= share <= 1.0:
-            raise SettingError(f"effect of {fault} like {generator}", share, "a probability")
+        fraction(f"effect of {fault} like {generator}", share, "a probability")
     if math.fsum(row.get(generator, 0.0) for generator in ARM) > 1.0 + _ROUNDING:
         raise SettingError(f"effects of {fault}", dict(row), f"a sum of at most 1 over {', '.join(ARM)}")
 

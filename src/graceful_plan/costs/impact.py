@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.consequence import Damage
@@ -24,8 +24,6 @@ from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 MODELS: dict[str, type[InteractionModel]] = {"box_overlap": BoxOverlap, "mixture": FailureMixture}
 """Interaction models by the name that selects them in `ImpactCost(model=...)`."""

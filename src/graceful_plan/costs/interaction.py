@@ -5,13 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Contract, StateBatch
 from graceful_plan.scene.harm.fragility import FragilityTable
-
-Array = np.ndarray
 
 
 class InteractionModel(Contract):

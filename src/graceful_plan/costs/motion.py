@@ -7,11 +7,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.exceptions import SettingError, ShapeError
-
-Array = np.ndarray
 
 
 @final

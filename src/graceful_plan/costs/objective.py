@@ -17,7 +17,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
@@ -33,10 +33,8 @@ from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import Path, is_real, plain_numbers
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import finite, positive, positive_fraction
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
-
 
 MAX_WEIGHT = 1e9
 """Greatest safety weight; beyond it, V is lost in the rounding error of w S."""
@@ -274,8 +272,7 @@ class SceneObjective:
         Raises:
             SettingError: If the width is not a positive number.
         """
-        if not 0.0 < metres < np.inf:
-            raise SettingError("metres", metres, "a finite number > 0 [m]")
+        positive("metres", metres, "a finite number > 0 [m]")
         impact = self.objective.impact
         wide = impact.widened(metres) if isinstance(impact, ImpactCost) else None
         return None if wide is None else replace(self.objective, impact=wide).bind(self.scene, self.paces)
@@ -361,10 +358,8 @@ def evaluate(
         SettingError: If the start time is not finite, the speed is out of range, or the path needs more than
             `MOST_STATES` states.
     """
-    if not (is_real(start_time) and np.isfinite(start_time)):
-        raise SettingError("start_time", start_time, "a finite time [s]")
-    if not (is_real(speed) and 0.0 < speed <= 1.0):
-        raise SettingError("speed", speed, "a fraction in (0, 1]")
+    finite("start_time", start_time, "a finite time [s]")
+    positive_fraction("speed", speed, "a fraction in (0, 1]")
     points = path if isinstance(path, Path | Trajectory) else Path(path)
     if not isinstance(objective, Objective | None):
         raise SettingError("objective", objective, "an Objective")

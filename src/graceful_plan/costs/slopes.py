@@ -9,13 +9,11 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch
 from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 DIFFERENCE = 1e-3
 """Step of the finite differences [rad or rad/s]. Single precision of the kernels (1e-7 m) causes an error of 1e-4 of a

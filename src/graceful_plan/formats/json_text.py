@@ -10,7 +10,7 @@ from typing import Any
 from graceful_plan.exceptions import FormatError
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, text_of
 from graceful_plan.path import finite_array
-from graceful_plan.untrusted_json import parse_json
+from graceful_plan.untrusted_json import check_keys, parse_json
 
 
 def to_json(samples: TimedSamples) -> str:
@@ -37,13 +37,7 @@ def from_json(source: str | Path) -> TimedSamples:
 
 def _check(name: str, document: Any) -> None:
     """Refuse anything but the keys, version, units and value types that `to_json` writes."""
-    if not isinstance(document, dict):
-        raise FormatError(name, f"an object is expected, not {type(document).__name__}")
-    expected = {"schema", "version", "units", "joints", *UNITS}
-    for problem, keys in (("missing", expected - document.keys()), ("unknown", document.keys() - expected)):
-        if keys:
-            valid = ", ".join(sorted(expected))
-            raise FormatError(name, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")
+    check_keys(name, document, {"schema", "version", "units", "joints", *UNITS})
     for key, value in (("schema", SCHEMA), ("version", VERSION), ("units", UNITS)):
         if document[key] != value:
             raise FormatError(name, f"{key} is {document[key]!r}, this version reads {value!r}")

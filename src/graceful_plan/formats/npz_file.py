@@ -12,10 +12,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import open_regular, path_of
-
-Array = np.ndarray
 
 MOST_BYTES = 2**30
 """Largest total size of the arrays of a file [bytes]."""

@@ -13,12 +13,11 @@ import numpy as np
 import yaml
 
 from graceful_plan import untrusted_yaml
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import TimedSamples, text_of
 from graceful_plan.path import finite_array, is_whole
 
-Array = np.ndarray
 Names = Mapping[str, str] | Callable[[str], str]
 """Maps a joint name here to its name in ROS."""
 

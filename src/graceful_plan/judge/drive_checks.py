@@ -6,13 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.result import Check
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 SIDEWAYS = 1e-3
 """Greatest sideways speed [m/s]; wheels on a floor slip by as much."""

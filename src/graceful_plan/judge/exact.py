@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import AUDITED, ClearanceBound, MotionSamples, motion_samples
 from graceful_plan.judge.preparation import prepare
@@ -25,7 +25,6 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.specs import within_memory
 from graceful_plan.timing.trajectory import Trajectory
 
-Array = np.ndarray
 _LOG = logging.getLogger(__name__)
 
 DEEPEST_SUPPORT = 0.003

@@ -17,13 +17,11 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.judge.preparation import own_placement
 from graceful_plan.scene.model_parts import body_joints, subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _BLOCK = 512
 """Configurations per block: their matrices fit into the cache of a core."""

@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.judge.motion_samples import MotionSamples
 from graceful_plan.path import Path
 from graceful_plan.result import Check
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 LIMIT_TOLERANCE = 1e-6
 """Tolerance: absolute for positions and end points [rad or m], relative for velocities and accelerations."""

@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.path import Path
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 ClearanceBound = Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
 """Lower bound of the clearance of configurations [m]: if positive, all checked pairs are at least this far apart."""

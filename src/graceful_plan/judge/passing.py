@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.judge.preparation import own_placement
 from graceful_plan.result import Check
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 NEAR = 1e-4
 """Largest joint error with which a configuration counts as passed [rad or m]: 0.1 mm at a distance of 1 m."""

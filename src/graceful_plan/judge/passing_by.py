@@ -13,7 +13,7 @@ from functools import cache, reduce
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.result import Check
@@ -23,8 +23,6 @@ from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _STANDING = 0.01
 """Speed of every joint below which a robot stands still [m/s or rad/s]."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Int
+from graceful_plan.array_types import Array, Bool, Int
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement, PlacementPool
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.specs import within_memory
-
-Array = np.ndarray
 
 _MAX_GROUPS = 31
 """MuJoCo's collision masks have 32 bits."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.path import Path
@@ -24,7 +24,6 @@ from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
-Array = np.ndarray
 EXPOSURES = ("time", "length", "waypoints")
 
 _LEAST_AREA = 1e-12

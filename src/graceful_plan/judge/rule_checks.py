@@ -14,7 +14,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.judge import _pendulum
 from graceful_plan.judge.kinematics import cross_matrix, kinematics
 from graceful_plan.judge.preparation import own_placement
@@ -40,8 +40,6 @@ from graceful_plan.scene.rules.rules import (
 from graceful_plan.scene.rules.vessel import Vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _DT = (0.002, 0.004)
 """Least and greatest time between two samples of a trajectory [s]. Joint accelerations are linear on a piece, which

@@ -7,15 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.judge.exact import Judge, Touch
 from graceful_plan.judge.motion_samples import MotionSamples
 from graceful_plan.result import Check
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _SHALLOWEST = 1e-4
 """Penetration up to which two iterative algorithms may disagree [m]."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.path import Path
@@ -20,8 +20,6 @@ from graceful_plan.result import Check
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 
 def straightness(

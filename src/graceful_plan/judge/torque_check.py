@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.judge.kinematics import cross_matrix, kinematics
 from graceful_plan.judge.preparation import own_placement
 from graceful_plan.path import Path
@@ -22,8 +22,6 @@ from graceful_plan.result import Check
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 TOLERANCE = 0.01
 """Relative tolerance of the torque limits; models of masses are no better than this."""

@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.drive_checks import drive_checks
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
@@ -31,9 +31,8 @@ from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import not_negative
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 STEP = 0.002
 """Default for the largest displacement of any point between two collision checks [m]."""
@@ -131,8 +130,7 @@ def verify(
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
     _check_step(step)
-    if not (is_real(start_tolerance) and 0.0 <= start_tolerance < np.inf):
-        raise SettingError("start_tolerance", start_tolerance, "a finite number >= 0")
+    not_negative("start_tolerance", start_tolerance)
     start_tolerance = float(start_tolerance)
     q_start, leaving = _start(start, nq)
     arriving = finite_array("goal.qd", goal.qd, ndim=1, last=nq) if isinstance(goal, State) else np.zeros(nq)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import checked_state, moving_batch
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError
@@ -19,8 +19,6 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viz.footprints import entity_outlines
 from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE, heat_map
-
-Array = np.ndarray
 
 _LAYER, _DIRECTIONS, _CRUISE = 0.2, 8, 0.6
 """Cell width of the risk layer [m], number of driving directions it averages over, and share of the greatest speed."""

@@ -23,7 +23,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.monitor.signals import (
     READINGS,
@@ -33,11 +33,10 @@ from graceful_plan.monitor.signals import (
     reading_rows,
     signal_sizes,
 )
-from graceful_plan.path import is_real, real_array
+from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import positive
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _BLOCK = 0.25
 """Length of a block [s], longer than the correlation of the signals of a servo."""
@@ -121,8 +120,7 @@ class MonitorLimits:
                 finite number > 0.
             ShapeError: If readings have another shape than times and joints ask for.
         """
-        if not (is_real(false_alarms) and 0.0 < false_alarms < np.inf):
-            raise SettingError("false_alarms", false_alarms, "a finite number > 0 [1/h]")
+        positive("false_alarms", false_alarms, "a finite number > 0 [1/h]")
         records = list(healthy)
         if not records:
             raise SettingError("healthy", records, "at least one run")

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.monitor.limits import MonitorLimits
 from graceful_plan.monitor.signals import STATISTICS, Reading, Signals, checked_motion, reading_rows
-from graceful_plan.path import is_real
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import finite
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 MISSING = "missing"
 """Kind of the notice of samples that are missing, incomplete or older than earlier ones."""
@@ -105,8 +103,7 @@ class Monitor:
             ShapeError: If a reading does not have a value for each joint.
             SettingError: If `t` is not a finite number.
         """
-        if not is_real(t) or not np.isfinite(t):
-            raise SettingError("t", t, "a finite time [s]")
+        finite("t", t, "a finite time [s]")
         reading = self._reading(float(t), q, qd, torque, opening)
         if self.notice is not None:
             return self.notice

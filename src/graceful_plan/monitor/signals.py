@@ -13,14 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.judge.torque_check import joint_torques
 from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 READINGS = ("speed", "torque", "opening")
 """Readings that a robot may have in addition to joint positions."""

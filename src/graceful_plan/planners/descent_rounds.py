@@ -17,12 +17,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path, evenly
 from graceful_plan.planners.motion_descent import COARSE, FINE, DescentResult, MotionDescents, SmoothCurve, Stage, Start
 from graceful_plan.planners.planner import Budget
 
-Array = np.ndarray
 _T = TypeVar("_T")
 
 _WORKERS = 2

@@ -9,13 +9,11 @@ from typing import Any, ClassVar, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-
-Array = np.ndarray
 
 
 @final

@@ -16,11 +16,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective, Problem, edge_totals
-
-Array = np.ndarray
 
 _PROBES = 24
 _REJECTION_ROUNDS = 30

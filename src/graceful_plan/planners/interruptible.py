@@ -12,12 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals
-
-Array = np.ndarray
 
 _SLICE_SECONDS = 0.005
 _FIRST_SLICE = 16

@@ -12,14 +12,12 @@ from typing import Protocol, Self, final, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.spline import Spline, grid_points
-
-Array = np.ndarray
 
 TIME_PRICE = 0.05
 """Cost per second of motion in addition to J [rad/s]; it decides between motions of about the same J."""

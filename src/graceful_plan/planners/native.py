@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Array
 from graceful_plan.core import _native
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.objective import SceneObjective
@@ -14,8 +15,6 @@ from graceful_plan.exceptions import ShapeError
 from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.scene_problem import SceneProblem
-
-Array = np.ndarray
 
 SLICE_SECONDS = 0.004
 """Time of a call of the core between two checks of the budget [s]."""

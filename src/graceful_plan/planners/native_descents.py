@@ -9,15 +9,13 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
-
-Array = np.ndarray
 
 _COARSE, _FINE, _LAST = (14, 0.15), (40, 0.05), (100, 0.04)
 """Pieces of the path and distance between samples of the impact [rad]; `_LAST` is used if the fine path is not free."""

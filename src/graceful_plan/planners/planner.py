@@ -16,10 +16,8 @@ from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.path import Path
-
-Array = np.ndarray
 
 
 class Problem(ABC):

@@ -8,12 +8,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import CHECK_STEP, Kernels
 from graceful_plan.planners.planner import Problem
-
-Array = np.ndarray
 
 
 @final

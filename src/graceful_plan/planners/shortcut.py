@@ -18,13 +18,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.settings import count, fraction, positive
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, fraction, positive_or_none
 
 _NEGLIGIBLE = 1e-9
 """Relative gain below which a change is rounding, not an improvement."""
@@ -151,7 +149,7 @@ class Shortcut:
         count("candidates", self.candidates)
         count("patience", self.patience)
         fraction("least_gain", self.least_gain)
-        positive("least_reach", self.least_reach)
+        positive_or_none("least_reach", self.least_reach)
         fraction("least_reach", self.least_reach)
 
     def improve(

@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.candidates.distinct import DistinctPaths
 from graceful_plan.query.candidates.maker import MotionMaker
@@ -19,8 +19,6 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.query.verification import VerifiedMotion, judged
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
-
-Array = np.ndarray
 
 LAST_STEPS = 0.004
 """Reserve of the time budget for timing and verifying one more motion [s], until a call has measured it."""

@@ -18,6 +18,7 @@ from graceful_plan.query.base_planning import base_planning, planners_by_name
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.request import STOPS, Stop
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import not_negative, positive_fraction
 
 DEFAULT_TIME_LIMIT = 1.0
 """Time limit of a call without a time limit and without a number of iterations [s]."""
@@ -75,9 +76,7 @@ def check_no_base(scene: Scene, what: str) -> None:
 
 def checked_speed(speed: object) -> float:
     """Return the fraction of the velocity limits to use."""
-    if not (is_real(speed) and 0.0 < speed <= 1.0):
-        raise SettingError("speed", speed, "a fraction in (0, 1]")
-    return float(speed)
+    return positive_fraction("speed", speed, "a fraction in (0, 1]")
 
 
 def checked_risk(risk: object) -> RiskMeasure:
@@ -125,11 +124,10 @@ def checked_start_tolerance(tolerance: object) -> float:
 
 def checked_wait(max_wait: object, scene: Scene) -> float:
     """Return the longest wait before the motion [s]; it must be 0 in a scene without moving entities."""
-    if not (is_real(max_wait) and 0.0 <= max_wait < np.inf):
-        raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
-    if max_wait and not scene.moving:
+    wait = not_negative("max_wait", max_wait, "a finite time of at least 0 s")
+    if wait > 0.0 and not scene.moving:
         raise SettingError("max_wait", max_wait, "0 in a scene where nothing moves; see Scene.with_moving")
-    return float(max_wait)
+    return wait
 
 
 def checked_verification(verification: object) -> VerificationSettings | None:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.query.endpoints import ik
 from graceful_plan.query.endpoints.usable import free_of_collision
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.scene.tasks import named_configuration
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

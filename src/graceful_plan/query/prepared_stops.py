@@ -8,10 +8,10 @@ import numpy as np
 
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
 from graceful_plan.query.stop import plan_stop
 from graceful_plan.result import Check
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import positive
 from graceful_plan.timing.prepared_stops import PreparedStops
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -49,8 +49,7 @@ def plan_stops(
     """
     if not isinstance(motion, Trajectory):
         raise SettingError("motion", motion, "a Trajectory")
-    if not is_real(every) or not 0.0 < every < np.inf:
-        raise SettingError("every", every, "a finite time > 0 s")
+    positive("every", every, "a finite time > 0 s")
     kept = None if constraints is None else tuple(constraints)
     checked_scene(scene)
     times = np.arange(float(motion.t[0]), float(motion.t[-1]), every).tolist()

@@ -15,6 +15,7 @@ from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.lead_in import LeadIn, RunIn, Takeover
 from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.timing.topp import EndSpeeds
 
 Stop = Literal["first", "converged", "time_limit"]
 """When to end: at the first verified motion, at convergence, or at the end of the budget."""
@@ -61,14 +62,10 @@ class Request:
     candidates: int = 1
 
     @property
-    def start_speed(self) -> float:
-        """Size of the velocity at the start [rad/s]."""
-        return 0.0 if self.lead is None else float(np.linalg.norm(self.lead.velocity))
-
-    @property
-    def end_speed(self) -> float:
-        """Size of the velocity at the end [rad/s]."""
-        return 0.0 if self.run_in is None else float(np.linalg.norm(self.run_in.velocity))
+    def end_speeds(self) -> EndSpeeds:
+        """Sizes of the velocity at both ends [rad/s]."""
+        start, end = (0.0 if one is None else float(np.linalg.norm(one.velocity)) for one in (self.lead, self.run_in))
+        return EndSpeeds(start, end)
 
     @property
     def only_length(self) -> bool:

@@ -24,15 +24,13 @@ from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
-from graceful_plan.path import is_real
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.setting_checks import finite
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.retiming import slowdown, slowed
 from graceful_plan.timing.topp import SpecificForceLevels, fastest
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _POINTS = 80
 """Grid points of a stop."""
@@ -87,8 +85,7 @@ def plan_stop(
     if not isinstance(motion, Trajectory):
         raise SettingError("motion", motion, "a Trajectory")
     checked_scene(scene)
-    if not is_real(at) or not np.isfinite(at):
-        raise SettingError("at", at, "a finite time [s]")
+    finite("at", at, "a finite time [s]")
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     found, detail = quickest_stop(motion, scene, float(at), asked), ""
     if found is None:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown, PlanStatus
-
-Array = np.ndarray
 
 
 class QueryStatus(Enum):

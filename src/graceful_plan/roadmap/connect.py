@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import Graph
@@ -16,8 +16,6 @@ from graceful_plan.planners.roadmaps.growth import nearest
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.ground import MARGIN, problem_of
-
-Array = np.ndarray
 
 NEAREST = 12
 """Number of nearest nodes that each end is connected to."""

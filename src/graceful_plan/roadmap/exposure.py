@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.edge_samples import EdgeSamples
@@ -16,8 +16,6 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 EXPOSURE_STEP = 0.1
 """Largest joint-space distance between samples of the exposure along an edge [rad]."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.objective import Objective
@@ -20,7 +20,6 @@ from graceful_plan.roadmap.answers import QueryResult, QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 Motion = tuple[Configuration, Goal]
 """A start and a goal, as for `plan`."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.costs.objective import Objective
@@ -18,7 +18,6 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
 from graceful_plan.planners.roadmaps.growth import Growth
-from graceful_plan.planners.settings import count
 from graceful_plan.query.arguments import check_no_base, checked_objective, checked_seed, checked_time_limit
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import Endpoints
@@ -29,8 +28,8 @@ from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.ground import Motion, declared_motions, ground_of, usable_ends, usable_pairs
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import count
 
-Array = np.ndarray
 Severity = SeverityTable | Mapping[str, float | Mapping[str, float]]
 """Severities that replace those of the scene, as for `Scene.with_severity`."""
 

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.scene import roles
 from graceful_plan.scene.assembly import SceneAssembly
@@ -38,7 +38,6 @@ from graceful_plan.scene.tasks import named_configuration
 if TYPE_CHECKING:  # checks of shapes do not take Self outside of a checked class
     from typing import Self
 
-Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 

@@ -9,7 +9,7 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.equalities import (
     active_equalities,
@@ -21,8 +21,6 @@ from graceful_plan.scene.equalities import (
     passive_joints,
     tied_joints,
 )
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 _SAME = 1e-6

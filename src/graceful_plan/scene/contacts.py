@@ -11,12 +11,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Int
+from graceful_plan.array_types import Array, Bool, Int
 from graceful_plan.scene.elements import AllowedContact, Notes
 from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group
-
-Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 

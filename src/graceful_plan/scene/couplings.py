@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.closed_chains import closed
 from graceful_plan.scene.equalities import (
@@ -28,8 +28,6 @@ from graceful_plan.scene.equalities import (
     ties_loose_body,
 )
 from graceful_plan.scene.model_parts import names
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

@@ -13,14 +13,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array, plain_numbers, real_array
 from graceful_plan.scene.loading.naming import check_new
 from graceful_plan.scene.model_parts import ancestors, find
 from graceful_plan.scene.roles import free_joint, rigid_pose
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _KINDS = {

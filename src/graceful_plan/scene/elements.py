@@ -13,16 +13,13 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 COMPONENTS = ("body", "carried", "contents")
 """Names of the components: the moving links, the carried object, the contents of a carried container."""
@@ -97,7 +94,7 @@ class Liquid:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        _check_positive("volume", self.volume)
+        positive("volume", self.volume)
         if not (is_real(self.temperature) and -50.0 <= self.temperature <= 400.0):
             raise SettingError("temperature", self.temperature, "degrees Celsius between -50 and 400")
         if self.kind not in ("water", "oil"):
@@ -126,7 +123,7 @@ class Granular:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        _check_positive("volume", self.volume)
+        positive("volume", self.volume)
 
 
 Contents = Liquid | Granular
@@ -173,7 +170,7 @@ class Adhesion:
     def __post_init__(self) -> None:
         plain_numbers(self)
         for name in ("force", "radius", "friction"):
-            _check_positive(name, getattr(self, name))
+            positive(name, getattr(self, name))
 
 
 @dataclass(frozen=True)
@@ -285,8 +282,3 @@ class Notes:
                 raise
             kind = type(error) if isinstance(error, SceneError) else SceneError
             raise kind(f"{place}: {error}", file=self.file, line=self.lines.get(place)) from error
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (is_real(value) and 0.0 < value < math.inf):
-        raise SettingError(name, value, "a finite number above 0")

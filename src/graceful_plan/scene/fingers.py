@@ -13,14 +13,12 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.couplings import follow
 from graceful_plan.scene.elements import Opening
 from graceful_plan.scene.equalities import actuated, followers, passive_joints
 from graceful_plan.scene.model_parts import colliding_geoms, names
-
-Array = np.ndarray
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _PROBE = 1e-5

@@ -7,13 +7,11 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.scene.elements import Limits, Notes
 from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.model_parts import is_scalar
-
-Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 _JOINT = mujoco.mjtJoint

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.scene.elements import Carried
 from graceful_plan.scene.model_parts import ancestors, body_joints, lookup, names
-
-Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 _KINDS = (_OBJ.mjOBJ_SITE, _OBJ.mjOBJ_BODY, _OBJ.mjOBJ_GEOM)

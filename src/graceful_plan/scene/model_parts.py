@@ -10,15 +10,12 @@ from collections.abc import Collection, Iterable, Sequence
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool
+from graceful_plan.array_types import Array, Bool
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
-Array = np.ndarray
-
 _OBJ = mujoco.mjtObj
-_GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
 _SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
 

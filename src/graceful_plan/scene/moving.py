@@ -6,7 +6,6 @@ are in `costs/models/moving/drops.py`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError
-from graceful_plan.path import finite_array, is_real, plain_numbers
+from graceful_plan.path import finite_array, plain_numbers
 from graceful_plan.scene.loading.naming import is_name
 from graceful_plan.scene.screening import MAX_EXTENT
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 
 class PredictedPose(NamedTuple):
@@ -95,8 +93,7 @@ class MovingEntity:
                 raise ShapeError(f"{what} of {name}", given.shape, f"{shape}, one row for each time")
         _check_times(name, times)
         for what, value in (("spread", spread), ("growth", growth)):
-            if not (is_real(value) and 0.0 <= value < math.inf):
-                raise SettingError(f"{what} of {name}", value, "a finite number of at least 0")
+            not_negative(f"{what} of {name}", value)
         values = {
             "name": name,
             "category": category,

@@ -9,10 +9,8 @@ from threading import local
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 class Placement:

@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, plain_numbers
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import positive
 
 if TYPE_CHECKING:
     from typing import Self
 
-Array = np.ndarray
 
 _ROOT_STEPS = 40
 """Steps of the fixed-point iteration, each of which at least halves the error."""
@@ -59,8 +59,7 @@ class PoseGoal:
         if not rigid or not np.allclose(X[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9):
             raise SettingError("X_WT", X.tolist(), "a rotation and a translation, last row 0 0 0 1")
         for name in ("position_tolerance", "orientation_tolerance"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise SettingError(name, getattr(self, name), "a finite number > 0")
+            positive(name, getattr(self, name))
         X = X.copy()
         X.flags.writeable = False
         object.__setattr__(self, "X_WT", X)

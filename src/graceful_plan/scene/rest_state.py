@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.couplings import coupled, follow
@@ -25,7 +25,6 @@ from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.model_parts import colliding_geoms, is_scalar, subtree
 from graceful_plan.scene.roles import rigid_pose
 
-Array = np.ndarray
 State = Mapping[str, tuple[float, ...]]
 """Position of joints in MuJoCo's order, by the name of the joint; a free body's joint may go by the body's name."""
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.elements import (
@@ -31,8 +31,6 @@ from graceful_plan.scene.harm.severity import ITSELF, SeverityTable, check_sever
 from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.model_parts import collides, colliding_geoms, find, names, subtree
 from graceful_plan.scene.moving import MovingEntity
-
-Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 _Severity = float | Mapping[str, float]

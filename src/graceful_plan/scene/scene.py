@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, names_file
 from graceful_plan.path import finite_array
 from graceful_plan.scene.changes import SceneChanges
@@ -38,8 +38,6 @@ from graceful_plan.scene.tasks import check_keyframes, task_ends
 from graceful_plan.scene.urdf.composing import TOOL, chosen_joints, composed, velocities
 from graceful_plan.scene.urdf.reading import Packages, read_urdf
 from graceful_plan.scene.urdf.srdf import no_srdf, read_srdf
-
-Array = np.ndarray
 
 
 @final

@@ -9,12 +9,10 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.elements import Limits, Notes
 from graceful_plan.scene.facts import SceneFacts
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.scene.scene import Scene
 from graceful_plan.testing.contract import ContractError
 
-Array = np.ndarray
 Findings = Iterator[str]
 
 _DIFFERENCES = (1e-5, 1e-3)

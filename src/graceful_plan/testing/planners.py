@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.testing.contract import ContractError
 
-Array = np.ndarray
 Findings = Iterator[str]
 
 _GOAL_TOLERANCE = 1e-9

@@ -13,10 +13,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.path import Path
-
-Array = np.ndarray
 
 SHORTEST_SEGMENT = 1e-5
 """Vertices closer than this to the previous one are merged [rad]: no robot can distinguish them."""

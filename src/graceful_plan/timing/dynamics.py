@@ -5,11 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 class RobotDynamics:

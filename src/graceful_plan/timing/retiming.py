@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
-from graceful_plan.path import Path, is_real, real_array
+from graceful_plan.path import Path, real_array
 from graceful_plan.scene.elements import Limits
+from graceful_plan.setting_checks import not_negative, positive_fraction
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import (
+    AT_REST,
+    EndSpeeds,
     InverseDynamics,
     Restraint,
     SpecificForceLevels,
@@ -23,8 +26,6 @@ from graceful_plan.timing.topp import (
     travelled,
 )
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _LONGEST = 1e6
 """Longest path that is timed [rad or m]: beyond it, grid intervals are lost in rounding."""
@@ -78,8 +79,7 @@ def retime(
     joints = tuple(str(i) for i in range(nq)) if joints is None else tuple(joints)
     if len(joints) != nq:
         raise ShapeError("path", path.q.shape, f"(n, {len(joints)} joints)")
-    if not 0.0 < speed <= 1.0:
-        raise SettingError("speed", speed, "0 < speed <= 1")
+    positive_fraction("speed", speed, "0 < speed <= 1")
     if not (real_array("deviation", deviation) >= 0.0).all() or np.isinf(deviation).any():
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
     if not path.length <= _LONGEST:
@@ -97,8 +97,7 @@ def retime(
         inverse_dynamics=inverse_dynamics,
         restraint=restraint,
         felt=felt,
-        start_speed=start_speed,
-        end_speed=end_speed,
+        ends=EndSpeeds(start_speed, end_speed),
     )
 
 
@@ -111,14 +110,12 @@ def timed(
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
-    start_speed: float = 0.0,
-    end_speed: float = 0.0,
+    ends: EndSpeeds = AT_REST,
 ) -> Trajectory:
     """Time a curve as fast as the limits allow; arguments and errors as in `retime`."""
     _check_limits(limits, joints)
-    for name, size in (("start_speed", start_speed), ("end_speed", end_speed)):
-        if not (is_real(size) and 0.0 <= size < np.inf):
-            raise SettingError(name, size, "a finite speed of at least 0 rad/s")
+    for name, size in (("start_speed", ends.start), ("end_speed", ends.end)):
+        not_negative(name, size, "a finite speed of at least 0 rad/s")
         if size and inverse_dynamics is not None:
             raise SettingError(name, size, "0 with torque limits: toppra times from rest to rest")
     if inverse_dynamics is not None:
@@ -137,11 +134,10 @@ def timed(
                 limit=limit,
                 felt=felt,
                 speed=speed,
-                start_speed=start_speed,
-                end_speed=end_speed,
+                ends=ends,
             )
         except RetimingError:
-            if not (start_speed or end_speed) or density == _FINEST:
+            if ends == AT_REST or density == _FINEST:
                 raise
             continue  # on a finer grid, a motion with a given speed at an end needs less room below the limits
         if found.excess <= ACCEPTED_SLOWDOWN:

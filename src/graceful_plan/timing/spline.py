@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.timing.blend import CurveGrid, places
 
 if TYPE_CHECKING:
     from typing import Self
 
-Array = np.ndarray
 
 _INTERVALS = 128
 """Intervals in the coarsest grid."""

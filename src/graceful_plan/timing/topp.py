@@ -19,17 +19,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.timing.blend import CurveGrid
 
-Array = np.ndarray
 InverseDynamics = Callable[[Array, Array, Array], Array]
 """Maps (q, qd, qdd) to joint torques [N m]."""
 Restraint = Callable[[CurveGrid], Array]
@@ -56,6 +55,16 @@ class SpecificForceLevels:
     levels: tuple[tuple[_native.SpecificForceLimit, ...], ...]
 
 
+class EndSpeeds(NamedTuple):
+    """Sizes of the velocity at both ends of a motion [rad/s, Euclidean]; 0: at rest."""
+
+    start: float = 0.0
+    end: float = 0.0
+
+
+AT_REST = EndSpeeds()
+
+
 def fastest(
     grid: CurveGrid,
     velocity: Float[Array, " nq"],
@@ -64,8 +73,7 @@ def fastest(
     limit: Float[Array, "interval limit 3"] | None = None,
     felt: SpecificForceLevels | None = None,
     speed: float = 1.0,
-    start_speed: float = 0.0,
-    end_speed: float = 0.0,
+    ends: EndSpeeds = AT_REST,
 ) -> _native.TimedCurve:
     """Compute the time-optimal motion along a curve, at rest at the grid's stops.
 
@@ -77,8 +85,7 @@ def fastest(
         felt: Limits on the specific force of a carried object.
         speed: Fraction of full speed at which the motion will finally be executed; the other limits apply at that
             speed.
-        start_speed: Size of the velocity at the start [rad/s]; if it is not 0, the motion is not at rest there.
-        end_speed: Size of the velocity at the end [rad/s], likewise.
+        ends: Speeds at both ends.
 
     Raises:
         RetimingError: If the motion comes to a halt, a limit is violated even at rest, the motion starts too fast for
@@ -92,13 +99,13 @@ def fastest(
         core=felt.core,
         levels=felt.levels,
         speed=speed,
-        start=start_speed or None,
-        end=end_speed or None,
+        start=ends.start or None,
+        end=ends.end or None,
     )
-    if end_speed and found.failed_point == len(grid.s) - 1 and found.failed_limit < 0:
-        raise RetimingError(f"no motion along the path reaches {end_speed:.3g} rad/s at its end within the limits")
-    if (start_speed or end_speed) and found.failed_point == 0 and found.failed_limit < 0:
-        speeds = f"{start_speed:.3g} rad/s at the start and {end_speed:.3g} rad/s at the end"
+    if ends.end and found.failed_point == len(grid.s) - 1 and found.failed_limit < 0:
+        raise RetimingError(f"no motion along the path reaches {ends.end:.3g} rad/s at its end within the limits")
+    if ends != AT_REST and found.failed_point == 0 and found.failed_limit < 0:
+        speeds = f"{ends.start:.3g} rad/s at the start and {ends.end:.3g} rad/s at the end"
         raise RetimingError(f"no motion with {speeds} follows the path within the limits")
     return _checked(found, grid, felt.names)
 

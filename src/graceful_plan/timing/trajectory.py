@@ -13,14 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError, names_file
 from graceful_plan.formats import csv_text, json_text, parquet_file, ros
 from graceful_plan.formats.ros import Names
 from graceful_plan.formats.samples import TimedSamples
 from graceful_plan.path import MOST_POINTS, Path, finite_array, is_real
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 _LATEST = 1e15
 """Largest time [s]: beyond it, the resolution of a double is worse than 0.1 s."""
@@ -205,8 +204,7 @@ class Trajectory:
         Raises:
             SettingError: If the wait is negative or not finite, or the motion does not start at rest.
         """
-        if not (is_real(seconds) and 0.0 <= seconds < np.inf):
-            raise SettingError("seconds", seconds, "a finite time of at least 0 s")
+        not_negative("seconds", seconds, "a finite time of at least 0 s")
         if seconds == 0.0:
             return self
         if np.any(np.abs(self.qd[0]) > REST):

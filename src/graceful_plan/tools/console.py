@@ -23,7 +23,7 @@ DEFAULT_SCENE = "tabletop"
 
 
 def add_command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str
+    commands: Any, name: str, run: Callable[[argparse.Namespace], object], text: str
 ) -> argparse.ArgumentParser:
     """Add a command implemented by `run`."""
     parser: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")

@@ -11,14 +11,12 @@ from importlib import metadata
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.reference_cost import reference_probability
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 PACKAGES = ("numpy", "mujoco", "toppra", "ompl", "casadi", "python-fcl", "scipy", "matplotlib")
 _SCENE = "tabletop"

@@ -7,15 +7,13 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Cost, checked_state, moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.scene.scene import Scene
 from graceful_plan.transcription.spline_program import Charge, Charging
 from graceful_plan.transcription.symbolic import SymbolicRobot
-
-Array = np.ndarray
 
 _STEP = 1e-5
 """Step of finite differences of a cost that has no derivatives [rad or rad/s]."""

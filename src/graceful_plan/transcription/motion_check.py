@@ -7,13 +7,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.retiming import slowdown
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.transcription.symbolic import SymbolicRobot
-
-Array = np.ndarray
 
 TOLERANCE = 1e-6
 """Tolerance of limits: absolute on positions [rad or m], relative on everything else."""

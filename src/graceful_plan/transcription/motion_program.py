@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import Cost
 from graceful_plan.scene.scene import Scene
@@ -32,8 +32,6 @@ from graceful_plan.transcription.spline_program import (
     SplineRows,
 )
 from graceful_plan.transcription.symbolic import SymbolicRobot
-
-Array = np.ndarray
 
 OBJECTIVES = ("time", "effort", "acceleration", "length")
 _HALVES = np.array([0.0, 0.5])

@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.planners.optimisers.nlp import Pattern
 from graceful_plan.transcription.spline_program import LinearRows, SampleRows, Samples, SplineLayout, hermite
 from graceful_plan.transcription.symbolic import SymbolicRobot
-
-Array = np.ndarray
 
 _POSITION, _VELOCITY, _ACCELERATION, _JERK = range(4)
 _TORQUE_RESERVE = 0.005

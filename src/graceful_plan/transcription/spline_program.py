@@ -17,10 +17,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.planners.optimisers.nlp import Pattern, Program, Values
-
-Array = np.ndarray
 
 
 def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import ShapeError, UnsupportedError
@@ -26,7 +26,6 @@ from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 Expression = Any
 """A CasADi SX. CasADi has no type stubs and is imported on demand."""
 

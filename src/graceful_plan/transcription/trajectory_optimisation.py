@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import Cost
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
@@ -26,14 +26,13 @@ from graceful_plan.planners.optimisers.nlp import SolveOutcome, Values, minimise
 from graceful_plan.planners.planner import Budget
 from graceful_plan.result import Verdict
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import finite, not_negative, positive_or_none
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.transcription.motion_check import Violation, violations, within_limits
 from graceful_plan.transcription.motion_program import OBJECTIVES, MotionTask, motion_cost, motion_program
 from graceful_plan.transcription.spline_program import SplineProgram
 from graceful_plan.transcription.symbolic import symbolic_robot
-
-Array = np.ndarray
 
 _KEPT = 3
 """Number of best iterates kept for the judge."""
@@ -339,12 +338,9 @@ def _checked_jerk(jerk: float | ArrayLike, nq: int) -> Float[Array, " nq"]:
 
 
 def _check(*, w: float, duration: float | None, margin: float, intervals: int, iterations: int) -> None:
-    if not (np.isfinite(w) and w >= 0.0):
-        raise SettingError("w", w, "a finite number, at least 0")
-    if duration is not None and not (np.isfinite(duration) and duration > 0.0):
-        raise SettingError("duration", duration, "a finite time > 0 s")
-    if not np.isfinite(margin):
-        raise SettingError("margin", margin, "a finite distance [m]")
+    not_negative("w", w)
+    positive_or_none("duration", duration, "a finite time > 0 s")
+    finite("margin", margin, "a finite distance [m]")
     for name, value, least in (("intervals", intervals, 2), ("iterations", iterations, 0)):
         if not is_whole(value) or value < least:
             raise SettingError(name, value, f"an integer >= {least}")

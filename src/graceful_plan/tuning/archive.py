@@ -9,13 +9,11 @@ from typing import Generic, Protocol, TypeVar, final, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective
-
-Array = np.ndarray
 
 EdgeTest = Callable[[Array, Array], Array]
 """Returns for each straight edge between configurations [n, nq] whether it is free at the finest check: bool [n]."""

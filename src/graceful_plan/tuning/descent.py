@@ -21,14 +21,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path, evenly
 from graceful_plan.planners.interruptible import Interrupted, checked_costs, out_of_time
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
 from graceful_plan.tuning.archive import Candidate, EdgeTest, Target
-
-Array = np.ndarray
 
 EDGES = 24
 """Edges of every path."""

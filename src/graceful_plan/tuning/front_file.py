@@ -16,7 +16,7 @@ from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, PlanStatus, Verdict
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.tuning.points import ParetoPoint, front_of
-from graceful_plan.untrusted_json import parse_json
+from graceful_plan.untrusted_json import check_keys, parse_json
 
 _SCHEMA = {"schema": "graceful_plan.pareto_front", "version": 1}
 _KEYS = {"scene", "status", "detail", "stats", "points"}
@@ -78,7 +78,7 @@ class _FrontReader:
         self.name = name
 
     def front(self, document: Any) -> FrontParts:
-        self._keys("a front", document, {*_SCHEMA, *_KEYS})
+        check_keys(self.name, document, {*_SCHEMA, *_KEYS})
         for key, value in _SCHEMA.items():
             if document[key] != value:
                 raise FormatError(self.name, f"{key} is {document[key]!r}, this version reads {value!r}")
@@ -100,7 +100,7 @@ class _FrontReader:
         )
 
     def _point(self, place: str, value: Any) -> ParetoPoint:
-        self._keys(place, value, _POINT)
+        check_keys(f"{self.name} at {place}", value, _POINT)
         with naming(f"{self.name} at {place}"):
             return self._read_point(place, value)
 
@@ -115,7 +115,7 @@ class _FrontReader:
         )
 
     def _cost(self, place: str, value: Any) -> CostBreakdown:
-        self._keys(place, value, _COST)
+        check_keys(f"{self.name} at {place}", value, _COST)
         return CostBreakdown(
             motion=self._number(f"{place}.motion", value["motion"], least=0.0),
             impact=self._number(f"{place}.impact", value["impact"], least=0.0),
@@ -125,7 +125,7 @@ class _FrontReader:
         )
 
     def _verdict(self, place: str, value: Any) -> Verdict:
-        self._keys(place, value, {"passed", "checks"})
+        check_keys(f"{self.name} at {place}", value, {"passed", "checks"})
         if not isinstance(value["checks"], dict):
             raise FormatError(self.name, f"{place}.checks must be an object")
         checks = {name: self._check(f"{place}.checks.{name}", check) for name, check in value["checks"].items()}
@@ -135,7 +135,7 @@ class _FrontReader:
         return verdict
 
     def _check(self, place: str, value: Any) -> Check:
-        self._keys(place, value, _CHECK)
+        check_keys(f"{self.name} at {place}", value, _CHECK)
         if not isinstance(value["passed"], bool):
             raise FormatError(self.name, f"{place}.passed must be true or false")
         unbounded = math.inf if value["passed"] else -math.inf
@@ -146,13 +146,6 @@ class _FrontReader:
             first=None if value["first"] is None else self._number(f"{place}.first", value["first"]),
             detail=self._text(f"{place}.detail", value["detail"]),
         )
-
-    def _keys(self, place: str, value: Any, expected: set[str]) -> None:
-        if not isinstance(value, dict):
-            raise FormatError(self.name, f"{place} must be an object, not {type(value).__name__}")
-        if value.keys() != expected:
-            odd = ", ".join(sorted(map(str, value.keys() ^ expected)))
-            raise FormatError(self.name, f"{place} lacks or has too many keys: {odd}")
 
     def _text(self, place: str, value: Any) -> str:
         if not isinstance(value, str):

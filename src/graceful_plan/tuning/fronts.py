@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.kernels import FINE_STEP
@@ -51,7 +51,6 @@ from graceful_plan.tuning.search import FrontSettings, search_front
 
 __all__ = ["Choice", "ChoiceStatus", "FrontProgress", "ParetoFront", "ParetoPoint", "pareto"]
 
-Array = np.ndarray
 
 _MARGIN = 0.002
 """Clearance to keep [m]."""

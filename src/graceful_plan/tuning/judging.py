@@ -9,7 +9,7 @@ from typing import Generic, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
@@ -20,8 +20,6 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.verification import first_verified
 from graceful_plan.tuning.archive import Archive, C, Candidate, coarse_to_fine
 from graceful_plan.tuning.points import ParetoPoint
-
-Array = np.ndarray
 
 _JUDGING = 0.03
 """Initial guess of the time to time and judge a point [s]."""

@@ -25,7 +25,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
@@ -38,8 +38,6 @@ from graceful_plan.query.candidates.motions import Motion, along, timed_curve
 from graceful_plan.tuning.archive import Archive, Candidate, coarse_to_fine, scaled
 from graceful_plan.tuning.judging import FrontMotion, FrontQuery
 from graceful_plan.tuning.search import sweep_weights
-
-Array = np.ndarray
 
 # Of the values tried, these had the largest hypervolume and the least V + w S, at four weights on four tasks. Halving
 # or doubling any of them makes little difference.

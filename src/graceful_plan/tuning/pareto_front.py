@@ -24,14 +24,12 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, names_file
 from graceful_plan.path import finite_array
 from graceful_plan.result import PlanStatus
 from graceful_plan.tuning.front_file import FrontParts, front_text, read_front
 from graceful_plan.tuning.points import ParetoPoint, dominated_area
-
-Array = np.ndarray
 
 REFERENCE = 1.1
 """Factor on the largest motion and impact of a front that gives its own reference point."""

@@ -9,13 +9,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.roadmaps.graph import non_dominated
 from graceful_plan.result import CostBreakdown, Verdict
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 
 @final

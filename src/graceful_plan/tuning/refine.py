@@ -24,7 +24,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import out_of_time
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
@@ -33,8 +33,6 @@ from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest, Target, e
 from graceful_plan.tuning.descent import descend
 from graceful_plan.tuning.front_problem import FrontProblem
 from graceful_plan.tuning.points import dominated_area
-
-Array = np.ndarray
 
 WEIGHTS = 0.02, 100.0
 """Range of weights, relative to the motion of the shortest path over its impact."""

@@ -9,15 +9,13 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.tuning.archive import Archive, Candidate
 from graceful_plan.tuning.front_problem import FrontProblem, Seeds
 from graceful_plan.tuning.refine import WEIGHTS, Refinement
-
-Array = np.ndarray
 
 _SHORTEST = 0.06
 """Fraction of the budget for the shortest path."""

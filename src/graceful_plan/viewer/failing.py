@@ -13,7 +13,7 @@ from typing import Any, final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.fault_prior import DEGREES, REACTIONS, FaultPrior, shipped_effects
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FailureMixture
@@ -22,12 +22,11 @@ from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import fraction
 from graceful_plan.viewer.poses import Poses
 from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.shapes import Part, parts
 from graceful_plan.viewer.shown import ShownMotion, impact_by_entity
-
-Array = np.ndarray
 
 _HORIZON, _COASTING = 1.5, 4.0
 """Simulated time after the failure of an arm and of a base [s]."""
@@ -62,8 +61,7 @@ class Failure:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not 0.0 <= self.moment <= 1.0:
-            raise SettingError("moment", self.moment, "a share of the motion, in [0, 1]")
+        fraction("moment", self.moment, "a share of the motion, in [0, 1]")
         if self.degree not in DEGREES:
             raise UnknownNameError("degree", self.degree, DEGREES)
 

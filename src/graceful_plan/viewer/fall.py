@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.functions import GRAVITY
@@ -17,8 +17,6 @@ from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _POINTS = 16
 _REACHED = (50.0, 95.0)

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
-from graceful_plan.path import Path, finite_array, is_real
+from graceful_plan.path import Path, finite_array
 from graceful_plan.query.endpoints.configurations import Configuration, configurations_of
 from graceful_plan.query.endpoints.goals import Goal, has_poses
 from graceful_plan.result import PlanResult
 from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.scene import Scene, Task
+from graceful_plan.setting_checks import positive
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viewer.question import CHOSEN, DRIVING_LIMIT, TIME_LIMIT, PlanAnswer, Question
@@ -173,8 +174,7 @@ def _timed(what: PlanResult | Trajectory | Path, scene: Scene) -> Trajectory:
 
 def _limit(given: float | None, scene: Scene) -> float:
     if given is not None:
-        if not (is_real(given) and 0.0 < given < np.inf):
-            raise SettingError("time_limit", given, "a finite time above 0 s")
+        positive("time_limit", given, "a finite time above 0 s")
         return given
     return TIME_LIMIT if scene.base is None else DRIVING_LIMIT
 

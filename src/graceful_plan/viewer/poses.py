@@ -8,12 +8,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.shapes import Part
-
-Array = np.ndarray
 
 
 class Poses(NamedTuple):

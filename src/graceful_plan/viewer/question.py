@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.analysis.checks import clearance
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
@@ -25,8 +25,6 @@ from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.poses import pose_of
 from graceful_plan.viewer.shown import ShownMotion, shown_motion
-
-Array = np.ndarray
 
 ORDINARY, CHOSEN = "w = 0", "chosen w"
 """Labels of the two motions."""

@@ -12,14 +12,12 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective, evaluate
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.viewer.question import CHOSEN, PlanAnswer, Question
 from graceful_plan.viewer.shown import shown_motion
-
-Array = np.ndarray
 
 _READ = ("motion", "fault", "degree", "onset", "status", "observed_impact", "dropped", "spilled", "contacts")
 """Columns that are read, without the poses, which would take most of the memory."""

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.analysis.impact_maps import impact_map
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Array, Float, UInt8
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import GracefulPlanError
@@ -16,8 +16,6 @@ from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viz.style import HEAT
-
-Array = np.ndarray
 
 _CELL, _FLOOR_CELL = 0.025, 0.1
 """Cell width over a table and on a floor [m]."""

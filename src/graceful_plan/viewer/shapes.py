@@ -10,11 +10,9 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _SEEN = 3

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.result import CostBreakdown
@@ -16,8 +16,6 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viewer.poses import Poses, poses_along
 from graceful_plan.viewer.shapes import parts
-
-Array = np.ndarray
 
 _STEP = 1.0 / 60.0
 _MOST_FRAMES = 1800

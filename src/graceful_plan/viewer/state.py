@@ -7,9 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.failing import Failure, FailureBench, Replay, recorded_replay
@@ -20,8 +18,6 @@ from graceful_plan.viewer.risk_layer import RiskLayer, risk_layer
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.shown import ShownMotion
 from graceful_plan.viewer.worker import LatestRequestWorker
-
-Array = np.ndarray
 
 MOST_KEPT = 4
 """Maximum number of kept motions."""

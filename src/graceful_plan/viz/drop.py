@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from graceful_plan.analysis.gantry import gantry_scene
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.costs.objective import Objective
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 def drop_impact(

@@ -8,11 +8,9 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, UInt8
+from graceful_plan.array_types import Array, Bool, Float, UInt8
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.offscreen import Canvas, camera_at, canvas
-
-Array = np.ndarray
 
 _WIDTH, _HEIGHT = 384, 288
 _AZIMUTHS = tuple(45.0 * i for i in range(8))

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.analysis.explanation import STRETCH, Contribution, Explanation
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.viz.style import ENTITY_COLOURS, OTHERS_COLOUR, STYLE
-
-Array = np.ndarray
 
 _ROWS = 8
 """Maximum number of parts with drawn intervals."""

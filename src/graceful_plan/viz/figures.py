@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
@@ -18,8 +18,6 @@ from graceful_plan.viz.drop import drop_impact
 from graceful_plan.viz.footprints import object_positions, outline, surface_points
 from graceful_plan.viz.outlines import draw_entities
 from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE, heat_map
-
-Array = np.ndarray
 
 _LINE_STYLES = ((0, (5, 2)), "-", (0, (1, 1)), (0, (6, 2, 1, 2)))
 _GRID = 0.005

@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
@@ -19,8 +19,6 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.tuning.pareto_front import Choice, ParetoFront
 from graceful_plan.tuning.points import ParetoPoint
 from graceful_plan.viz.footprints import object_positions, outline, surface_points
-
-Array = np.ndarray
 
 _TEMPLATE = FilePath(__file__).with_name("front_page.html")
 _SAMPLES = 60

@@ -10,9 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int, UInt8
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int, UInt8
 
 _MOST = 10_000
 """Maximum number of geoms in a picture."""

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.footprints import entity_outlines
-
-Array = np.ndarray
 
 
 def draw_entities(axes: Any, scene: Scene) -> None:

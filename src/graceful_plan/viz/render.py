@@ -10,14 +10,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.footprints import object_positions
 from graceful_plan.viz.offscreen import camera_at, canvas
 from graceful_plan.viz.style import PATH_COLOURS
-
-Array = np.ndarray
 
 _WIDTH, _HEIGHT = 1600, 1000
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.35, 65.0, -42.0

@@ -10,16 +10,17 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from drop_twin import loose
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, positive, step
-from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, land, loose
+from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, land
 from graceful_plan.costs.models.drop.release import Release, heights, release
 from graceful_plan.costs.models.drop.sides import SideStop
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
-from graceful_plan.costs.models.moving.outlines import outlines, outside
+from graceful_plan.costs.models.moving.outlines import outlines
 from graceful_plan.costs.models.moving.position_samples import PLACES, cell_of, normal_places, path_times
 from graceful_plan.scene.moving import MovingEntity
 
@@ -396,6 +397,38 @@ def touched(
         for rows in np.array_split(near, -(-len(near) * len(spheres) // _AT_ONCE) or 1):
             found[rows] = outside(poses[state[rows]], spheres, shape[rows], height[rows], float(half[2])) < 0.0
     return found
+
+
+def outside(
+    X: Float[Array, "row 4 4"],
+    balls: Float[Array, "ball 4"],
+    shape: Float[Array, "row 7"],
+    height: Float[Array, " row"],
+    half: float,
+) -> Float[Array, " row"]:
+    """Compute the distance of a link's spheres from upright outlines [m].
+
+    Args:
+        X: Poses of the link in W.
+        balls: Centres in the link, and radii [m].
+        shape: An outline for each pose.
+        height: Height of the centre of each outline [m].
+        half: Half of the height of the outlines [m].
+    """
+    p = balls[:, :3] @ X[:, :3, :3].swapaxes(1, 2) + X[:, None, :3, 3]
+    beside = _beside(p[..., :2], shape)
+    above = np.maximum(np.abs(p[..., 2] - height[:, None]) - half, 0.0)
+    away = np.where(above > 0.0, np.hypot(np.maximum(beside, 0.0), above), beside)
+    return (away - balls[:, 3]).min(axis=1)
+
+
+def _beside(p: Float[Array, "row ball 2"], shape: Float[Array, "row 7"]) -> Float[Array, "row ball"]:
+    """Return the signed distance of points from outlines in top view [m]."""
+    d, x, y = p - shape[:, None, :2], shape[:, 2, None], shape[:, 3, None]
+    along = np.abs(x * d[..., 0] + y * d[..., 1]) - shape[:, 4, None]
+    across = np.abs(x * d[..., 1] - y * d[..., 0]) - shape[:, 5, None]
+    away = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+    return away + np.minimum(np.maximum(along, across), 0.0) - shape[:, 6, None]
 
 
 # --- outlines ---------------------------------------------------------------------------------------------------------

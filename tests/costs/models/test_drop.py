@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drop_oracle import release as slow_release
 from drop_oracle import slow_drop
-from drop_twin import dropped
+from drop_twin import catching, dropped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,6 @@ import graceful_plan as gp
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
-from graceful_plan.costs.models.drop.landing import catching
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import LEVEL, SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.mixture.mixture import FailureMixture

@@ -17,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
-from graceful_plan.costs.models.drop.network import LOOKS, STATE_FEATURES, DropNetwork, corrected, fade, looks
+from graceful_plan.costs.models.drop.network import LOOKS, STATE_FEATURES, DropNetwork, fade, looks
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError, ShapeError
@@ -71,6 +72,12 @@ def severities(scene: gp.Scene, seed: int = 0) -> Array:
     rows = np.zeros((len(ROWS), len(scene.entities)))
     rows[0] = np.random.default_rng(seed).uniform(1.0, 5.0, len(scene.entities))
     return rows
+
+
+def corrected(P: Float[Array, "*batch"], log_factor: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Return probabilities with their odds multiplied by factors, given by their logarithms."""
+    factor = np.exp(log_factor * fade(P))
+    return P * factor / (1.0 - P + P * factor)
 
 
 def by_numpy(network: DropNetwork, scene: gp.Scene, q: Array, qd: Array) -> Array:

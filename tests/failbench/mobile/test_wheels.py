@@ -3,10 +3,9 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench.mobile.coasting import BaseFailure, coasted, drawn
+from failbench.mobile.coasting import BaseFailure, coasted
 from failbench.mobile.wheeled import wheeled
 from graceful_plan.exceptions import UnknownNameError, UnsupportedError
-from graceful_plan.mobile.coast.constants import WHEELS, CoastSettings
 from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
 from jackals import jackal
@@ -71,15 +70,6 @@ def test_a_grazing_hit_has_the_speed_along_the_normal():
     scene = jackal((1.0, 0.35))  # the child is 35 cm off the path, near the side of the base
     (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
     assert 0.2 < hit.speed < 1.4
-
-
-def test_failures_are_drawn_with_the_given_shares():
-    settings, rng = CoastSettings.shipped(), np.random.default_rng(0)
-    words = [drawn(settings, rng).wheels for _ in range(2000)]
-    total = sum(way.weight for way in settings.ways.values())
-    for word in WHEELS:
-        often = sum(way.weight for way in settings.ways.values() if way.wheels == word) / total
-        assert words.count(word) / 2000 == pytest.approx(often, abs=0.04)
 
 
 def test_an_arm_is_held_and_stairs_are_no_wall():

@@ -7,23 +7,12 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
-from graceful_plan.mobile.control.diff_drive_controller import (
-    Pivot,
-    Tracking,
-    limited,
-    wheel_speeds,
-)
+from graceful_plan.mobile.control.diff_drive_controller import Pivot, Tracking, limited
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState, Surroundings
 from graceful_plan.mobile.control.pure_pursuit import PurePursuit, foot
 from hall import BASE
 
 SPEEDS = st.floats(-2, 2), st.floats(-4, 4)
-
-
-@given(*SPEEDS)
-def test_wheels_without_slip_move_the_body(v, omega):
-    left, right = np.array(wheel_speeds(DriveCommand(v, omega), BASE)) * BASE.radius
-    np.testing.assert_allclose([0.5 * (left + right), 0.5 * (right - left) / BASE.lever], [v, omega], atol=1e-12)
 
 
 @given(*SPEEDS, *SPEEDS, st.floats(0.01, 0.2))

@@ -8,7 +8,7 @@ from jaxtyping import TypeCheckError
 
 import graceful_plan as gp
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
-from graceful_plan.mobile.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
+from graceful_plan.mobile.floor.files.moving_ai import MovingAIScenario, read_scenarios
 from graceful_plan.mobile.floor.occupancy_grid import MAX_CELLS, OccupancyGrid
 
 _TOLERANCE = 1e-5  # distances are single precision, rounded down
@@ -176,8 +176,7 @@ def test_movingai_maps_and_scenarios_count_from_above(tmp_path):
     floor = OccupancyGrid.from_moving_ai(tmp_path / "m.map")
     assert floor.occupied.tolist() == [[True, True, False], [False, True, False]]
     one = MovingAIScenario((0, 1), (2, 0), 3.5)
-    write_scenarios(tmp_path / "m.scen", [one], "m.map", floor.shape)
-    assert "\t0\t0\t2\t1\t3.5" in (tmp_path / "m.scen").read_text()
+    (tmp_path / "m.scen").write_text("version 1\n0\tm.map\t3\t2\t0\t0\t2\t1\t3.5\n")
     assert read_scenarios(tmp_path / "m.scen") == [one]
     (tmp_path / "m.scen").write_text("version 1\n1 m.map 3 2 0 0 2 5 3.5\n")
     with pytest.raises(FormatError, match=r"m\.scen"):

@@ -7,10 +7,11 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+from on_wheels import rolling_qpos, rolling_spec
 from places import LIBRARY
 
 import graceful_plan as gp
-from graceful_plan.scene.mobile.wheels import KEEP_OUT, rolling_qpos, rolling_spec
+from graceful_plan.scene.mobile.wheels import KEEP_OUT
 
 _FOLDER = LIBRARY / "scene" / "scenes" / "mobile"
 _ROOM = 0.02

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_wheels import rolling_qpos, rolling_spec
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.exceptions import SceneError
 from graceful_plan.scene.loading.robot_models import robot_file
-from graceful_plan.scene.mobile.wheels import rolling_qpos, rolling_spec
 
 _TOLERANCE = 1e-9
 """Both sides are chains of exact transforms in double precision."""
@@ -231,11 +231,6 @@ def test_states_of_both_versions_are_the_same_place(robot):
         there = planned.geom(model.geom(g).name)
         np.testing.assert_allclose(data.geom(g).xpos, there.xpos, atol=_TOLERANCE)
         np.testing.assert_allclose(data.geom(g).xmat, there.xmat, atol=_TOLERANCE)
-
-
-def test_only_robots_that_drive_roll():
-    with pytest.raises(SettingError, match="DiffDrive"):
-        rolling_spec(gp.load_scene("tabletop"))
 
 
 def test_incomplete_drive_descriptions_are_refused():

@@ -23,9 +23,9 @@ from failbench.policies.policy import Observation
 from failbench.policies.rollouts import outcome
 from failbench.policies.task import PolicySettings, PolicyTask, policy_task
 from failbench.rollouts.sampling import check_whole
-from graceful_plan.array_types import Bool, Float, Int, UInt8
+from graceful_plan.array_types import Array, Bool, Float, Int, UInt8
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.path import is_real
+from graceful_plan.setting_checks import not_negative
 
 try:
     import gymnasium
@@ -34,7 +34,6 @@ try:
 except ImportError:
     raise MissingExtra("gymnasium", "policies") from None
 
-Array = np.ndarray
 
 REWARDS = ("joint_distance", "success")
 _SHARED = ("action", "reward", "harm_weight", "settings")
@@ -210,8 +209,7 @@ class _Core:
     ) -> None:
         if reward not in REWARDS:
             raise UnknownNameError("reward", reward, REWARDS)
-        if not (is_real(harm_weight) and 0.0 <= harm_weight < np.inf):
-            raise SettingError("harm_weight", harm_weight, "a finite number of at least 0")
+        not_negative("harm_weight", harm_weight)
         check_whole("num_envs", count, 1, _MOST_ENVIRONMENTS)
         check_whole("threads", threads, 1, _MOST_ENVIRONMENTS)
         if not isinstance(task, PolicyTask | str) or not isinstance(settings, PolicySettings | None):

@@ -11,7 +11,7 @@ from failbench.fault.fault import Fault
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import RolloutRequest
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.setting_checks import not_negative
 
 _SEEDS = 2**53
 _OPTIONS = ("fault", "onset")
@@ -45,8 +45,7 @@ class FaultSampler:
         if fault is None:
             return None
         onset = options.get("onset", fault.when.onset(u, task.straight.duration))
-        if not (is_real(onset) and 0.0 <= onset < np.inf):
-            raise SettingError("onset", onset, "a finite time of at least 0 s")
+        not_negative("onset", onset, "a finite time of at least 0 s")
         return RolloutRequest(fault=fault, onset=float(onset), seed=seed)
 
 

@@ -10,11 +10,9 @@ from gymnasium import spaces
 
 from failbench.policies.policy import Observation, PolicyError
 from failbench.policies.task import PolicyTask
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.path import real_array
-
-Array = np.ndarray
 
 KINDS = ("joint_position", "joint_velocity", "tool_pose")
 """Kinds of actions that environments support."""

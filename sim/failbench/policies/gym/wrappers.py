@@ -10,10 +10,10 @@ import numpy as np
 
 from failbench.fault.fault import Fault
 from failbench.policies.gym.faulting import drawn_fault
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import real_array
-
-Array = np.ndarray
+from graceful_plan.setting_checks import fraction
 
 
 class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.RecordConstructorArgs):
@@ -38,8 +38,7 @@ class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.Reco
         super().__init__(env)
         if not faults or not all(isinstance(fault, Fault) for fault in faults):
             raise SettingError("faults", tuple(faults), "at least one failbench.Fault, and nothing else")
-        if not 0.0 <= healthy <= 1.0:
-            raise SettingError("healthy", healthy, "a share in [0, 1]")
+        fraction("healthy", healthy, "a share in [0, 1]")
         weights = np.ones(len(faults)) if shares is None else real_array("shares", shares)
         if weights.shape != (len(faults),) or not (
             np.isfinite(weights).all() and (weights >= 0).all() and weights.any()

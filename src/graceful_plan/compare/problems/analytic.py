@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.planners.planner import Problem
+from graceful_plan.setting_checks import not_negative
 
-Array = np.ndarray
 StateTest = Callable[[Array], Array]
 """Whether configurations [n, nq] are free: bool [n]."""
 EdgeTest = Callable[[Array, Array], Array]
@@ -137,8 +137,7 @@ class DensityObjective:
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.w < np.inf:
-            raise SettingError("w", self.w, "a finite number >= 0")
+        not_negative("w", self.w)
         if not self.step > 0.0:
             raise SettingError("step", self.step, "a number > 0 [rad]")
 

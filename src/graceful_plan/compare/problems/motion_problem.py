@@ -13,7 +13,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, UnknownNameError
 from graceful_plan.scene.edit import add_primitive
 from graceful_plan.scene.elements import Notes
@@ -21,8 +21,6 @@ from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 ROBOT = "panda/"
 """Prefix of the robot's names in the scene of a problem."""

@@ -22,12 +22,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.scene.pose_goal import PoseGoal
-
-Array = np.ndarray
 
 NQ = 7
 MAX_OBSTACLES = 2000

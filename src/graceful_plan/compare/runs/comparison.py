@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_whole, plain_numbers
 from graceful_plan.regular_file import path_of
+from graceful_plan.setting_checks import not_negative, positive
 
 Progress = Callable[[int, int, Run | None], None]
 """Called with the number of finished runs, the total number, and the latest run."""
@@ -55,10 +55,8 @@ class Settings:
         whole = all(is_whole(seed) and seed >= 0 for seed in self.seeds)
         if not (self.seeds and whole) or len(set(self.seeds)) < len(self.seeds):
             raise SettingError("seeds", self.seeds, "at least one whole number >= 0, none twice")
-        if not (math.isfinite(self.seconds) and self.seconds > 0.0):
-            raise SettingError("seconds", self.seconds, "a finite time > 0 s")
-        if not (math.isfinite(self.w) and self.w >= 0.0):
-            raise SettingError("w", self.w, "a finite number >= 0")
+        positive("seconds", self.seconds, "a finite time > 0 s")
+        not_negative("w", self.w)
         cores = os.cpu_count() or 1
         if not 0 <= self.processes <= cores:
             raise SettingError(

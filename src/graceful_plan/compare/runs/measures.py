@@ -5,14 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.path import Path
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 JERK_STEP = 0.02
 """Time between waypoints for the jerk [s], a usual command period of an arm."""

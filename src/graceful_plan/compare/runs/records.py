@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.documents import finite
 from graceful_plan.exceptions import FormatError
 from graceful_plan.path import finite_array
 from graceful_plan.result import TracePoint
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 SOLVED = "SOLVED"
 EARLY = (0.01, 0.1)

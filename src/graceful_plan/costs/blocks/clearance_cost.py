@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.blocks.native_cost import NativeCost
 from graceful_plan.costs.clearance_target import SURROUNDINGS, kernels_for_target
-from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import positive
 
 
 @final
@@ -41,8 +39,7 @@ class ClearanceCost(NativeCost):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not 0.0 < self.distance < np.inf:
-            raise SettingError("distance", self.distance, "a finite number > 0 [m]")
+        positive("distance", self.distance, "a finite number > 0 [m]")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
         """Return the native kernel of this cost in a scene.

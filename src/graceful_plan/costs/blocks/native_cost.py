@@ -8,14 +8,12 @@ from operator import add
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import Cost, StateBatch, SumCost
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _MOST_KERNELS = 32
 """Number of kernels kept for a scene, so that trying many settings does not exhaust memory."""

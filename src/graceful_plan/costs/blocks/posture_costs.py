@@ -17,8 +17,7 @@ from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.path import plain_numbers, real_array
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive, positive_or_none
 
 _TURNS = 6
 """Number of joints that a tool needs for arbitrary translation and rotation."""
@@ -149,8 +148,7 @@ class PoseCost(NativeCost):
         plain_numbers(self)
         for name in ("distance", "angle"):
             value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise SettingError(name, value, "a finite number > 0, or None")
+            positive_or_none(name, value, "a finite number > 0, or None")
         if self.distance is None and self.angle is None:
             raise SettingError("distance", None, "a number, where the angle is left out too")
 
@@ -196,8 +194,7 @@ class ManipulabilityCost(NativeCost):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not 0.0 < self.least < np.inf:
-            raise SettingError("least", self.least, "a finite number > 0")
+        positive("least", self.least)
 
     def kernel(self, scene: Scene) -> ImpactKernel:
         """Return the native kernel of this cost in a scene.

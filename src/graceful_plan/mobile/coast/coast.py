@@ -57,7 +57,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel, reals
@@ -70,8 +70,6 @@ from graceful_plan.mobile.coast.moving_entities import moving_coast
 from graceful_plan.mobile.coast.native import coast_model
 from graceful_plan.mobile.coast.reduced import reduced_settings
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 @final

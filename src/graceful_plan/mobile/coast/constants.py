@@ -12,14 +12,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import fraction, not_negative, positive
 from graceful_plan.yaml_file import Block, YamlTable
-
-Array = np.ndarray
-
 
 WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 """Wheel behaviours after a failure: all go on as commanded and then stop; all turn freely; all are locked; those of one
@@ -100,8 +98,7 @@ class OdometryDrift:
     def __post_init__(self) -> None:
         for one in fields(self):
             value = getattr(self, one.name)
-            if not 0.0 <= value < math.inf:
-                raise SettingError(f"astray.{one.name}", value, "a finite number of at least 0")
+            not_negative(f"astray.{one.name}", value)
         if self.pace > 1.0:
             raise SettingError("astray.pace", self.pace, "a number in [0, 1]")
 
@@ -149,11 +146,9 @@ class WeakDrives:
 
     def __post_init__(self) -> None:
         for name in ("weight", "lasts"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise SettingError(f"weak.{name}", getattr(self, name), "a finite number of at least 0")
+            not_negative(f"weak.{name}", getattr(self, name))
         for name in ("turn", "deceleration"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SettingError(f"weak.{name}", getattr(self, name), "a finite number above 0")
+            positive(f"weak.{name}", getattr(self, name))
 
     def stops(self, probability: float) -> Float[Array, "stop 3"]:
         """Return the stops of bases that leave their path: probability [1/rad], deceleration [m/s^2], time left [s].
@@ -224,16 +219,13 @@ class CoastSettings(YamlTable):
 
     def __post_init__(self) -> None:
         for name in ("share", "thrown"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise SettingError(name, getattr(self, name), "a number in [0, 1]")
+            fraction(name, getattr(self, name))
         if not 0.0 <= self.harmless < 1.0:
             raise SettingError("harmless", self.harmless, "a number in [0, 1)")
         for name in ("reference_speed", "position_spread", "friction", "brakes"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SettingError(name, getattr(self, name), "a finite number above 0")
+            positive(name, getattr(self, name))
         for name in ("drift", "straightens"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise SettingError(name, getattr(self, name), "a finite number of at least 0")
+            not_negative(name, getattr(self, name))
         if not self._total > 0.0:
             raise SettingError("ways", dict(self.ways), "at least one with a weight above 0")
         object.__setattr__(self, "ways", MappingProxyType(dict(self.ways)))

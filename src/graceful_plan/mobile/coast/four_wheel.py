@@ -21,12 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from graceful_plan import disk_cache
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.steering import MOTORS, TICK, OneSideSteering
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-
-Array = np.ndarray
 
 _METHOD = 1
 """Version of the integration; change it together with anything that changes the cached tables."""

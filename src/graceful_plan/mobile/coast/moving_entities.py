@@ -6,9 +6,7 @@ failure has the spread of its prediction at that time. Without times, P is the m
 
 from __future__ import annotations
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.costs.models.moving.drops import moving_table
 from graceful_plan.costs.models.moving.outlines import outlines
@@ -18,8 +16,6 @@ from graceful_plan.mobile.coast.tables import coast_tables
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _SOON = 1e-3
 """Interval of the finite difference for velocities [s]."""

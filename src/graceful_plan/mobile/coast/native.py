@@ -15,8 +15,6 @@ from graceful_plan.mobile.coast.tables import coast_tables
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
-
 SKIDS = 1.2
 """Ratio of effective track to track above which a base is a skid-steer."""
 

@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-
-Array = np.ndarray
 
 TICK = 0.02
 """Time between commands [s]."""

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.mobile.coast.four_wheel import BaseBody
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import colliding_geoms, rigid_group, subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _OVER_THE_FLOOR = 0.03

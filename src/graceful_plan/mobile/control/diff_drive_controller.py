@@ -7,26 +7,16 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState, check_numbers, wrapped
 from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
-Array = np.ndarray
-
 _DRIVES = 0.4
 """Speed at which the base is held at half of the slip angle of its arc [m/s]."""
 _TURNS = 0.3
 """Turning rate above which the full offset of `Tracking.share` applies when turning in place [rad/s]."""
-
-
-def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
-    """Return the rates of left and right wheels [rad/s]: (v -+ omega slip track / 2) / radius."""
-    return (
-        (command.v - base.lever * command.omega) / base.radius,
-        (command.v + base.lever * command.omega) / base.radius,
-    )
 
 
 def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: float) -> DriveCommand:

@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, is_real
-
-Array = np.ndarray
 
 FARTHEST = 1e4
 """Largest coordinate of a place [m], and largest angle [rad]."""

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.constants import CoastSettings
@@ -45,8 +45,6 @@ from graceful_plan.path import is_real, is_whole, plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _MUCH = 1e12
 """Stands for infinity in the core."""

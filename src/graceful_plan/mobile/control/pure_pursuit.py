@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.control.drive_state import (
     DriveCommand,
     DriveState,
@@ -22,8 +22,6 @@ from graceful_plan.mobile.control.drive_state import (
 )
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)

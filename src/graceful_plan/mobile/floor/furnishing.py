@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool
+from graceful_plan.array_types import Array, Bool
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.elements import AllowedContact
@@ -19,8 +19,7 @@ from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.known_bases import known_base
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.sensed.boxes import MOST_BOXES, joined
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 _FLOOR, _WALLS = "floor", "walls"
 _BORDER = 0.1
@@ -47,8 +46,7 @@ def furnished(
         SettingError: If there are too many boxes, or a height is not above 0.
     """
     base = known_base(robot)
-    if not 0.0 < height < math.inf:
-        raise SettingError("height", height, "a finite height of occupied cells above 0 [m]")
+    positive("height", height, "a finite height of occupied cells above 0 [m]")
     rows, columns = occupied.shape
     x, y, yaw = origin
     size = np.array([columns, rows]) * resolution

@@ -11,13 +11,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.scene.edit import StaticBody
-
-Array = np.ndarray
 
 _WALL = 0.15
 """Thickness of walls [m]."""

@@ -19,13 +19,12 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.path import finite_array
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 METHODS = ("a_star", "dijkstra", "theta_star")
 MOST_CHARGE = 1e12
@@ -91,8 +90,7 @@ class FloorGrid:
     """The grid in the core."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.radius < math.inf:
-            raise SettingError("FloorGrid.radius", self.radius, "a finite number >= 0")
+        not_negative("FloorGrid.radius", self.radius)
         charge = None
         if self.charge is not None:
             charge = np.ascontiguousarray(finite_array("charge", np.asarray(self.charge)), dtype=np.float32)

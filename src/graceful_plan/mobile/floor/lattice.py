@@ -21,13 +21,11 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.mobile.floor.reeds_shepp import Curves, Steering
 from graceful_plan.path import finite_array, plain_numbers
-
-Array = np.ndarray
 
 
 class LatticeStatus(Enum):

@@ -16,7 +16,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError, names_file
 from graceful_plan.mobile.floor.files.map_server import FARTHEST, RESOLUTIONS, read_map_server, write_map_server
@@ -28,8 +28,6 @@ from graceful_plan.regular_file import path_of
 from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.sensed.height_map import HeightMap
-
-Array = np.ndarray
 
 UNKNOWN = -1
 """Occupancy of an unknown cell."""

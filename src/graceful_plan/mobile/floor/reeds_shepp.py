@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +43,7 @@ class Steering:
     def __post_init__(self) -> None:
         yaw_length = 1.0 if self.yaw_length is None else self.yaw_length
         for name, value in (("radius", self.radius), ("yaw_length", yaw_length)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise SettingError(f"Steering.{name}", value, "a finite number > 0")
+            positive(f"Steering.{name}", value)
         if not (math.isfinite(self.reverse_penalty) and self.reverse_penalty >= 1.0):
             raise SettingError("Steering.reverse_penalty", self.reverse_penalty, "a finite number >= 1")
 

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.floor.files.map_server import RESOLUTIONS
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene import roles
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _PROBE = "floor_map_probe"
 _AROUND = 1

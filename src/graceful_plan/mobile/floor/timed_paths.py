@@ -20,11 +20,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int, UInt8
+from graceful_plan.array_types import Array, Float, Int, UInt8
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
-
-Array = np.ndarray
 
 HEADINGS = 8
 """Number of headings. The first is along x, and each leads to a different neighbouring cell."""

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.drive_checks import SIDEWAYS
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 _BASE = 3
 """Number of joints of the base, which precede those of the arm."""

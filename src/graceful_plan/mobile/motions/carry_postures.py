@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _BASE = 3
 """Number of joints of the base, which precede those of the arm."""

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.timing.blend import CurveGrid, places
-
-Array = np.ndarray
 
 _SAME = 1e-9
 """Largest difference between two equal configurations [rad or m]."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.blend import CurveGrid
-
-Array = np.ndarray
 
 _KEPT = 0.99
 """Share of the acceleration limit along the heading that is used; between grid points it is exceeded by up to 1 %."""

@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.static_objective import static_objective
 from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
@@ -39,8 +39,6 @@ from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
-
-Array = np.ndarray
 
 _SETTINGS = DescentSettings(bends=0)
 """No random bends of starts: most of them end in a wall."""

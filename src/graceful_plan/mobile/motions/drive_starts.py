@@ -11,14 +11,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.motions.carry_postures import with_posture
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import COARSE, MIDDLE, DescentResult, MotionDescents, Start
 from graceful_plan.planners.planner import Budget
-
-Array = np.ndarray
 
 _LOOK = replace(MIDDLE, evaluations=0)
 """Evaluates J of a curve without descending."""

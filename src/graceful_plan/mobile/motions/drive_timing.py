@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing_by import is_moving
 from graceful_plan.mobile.motions.drive import Drive
@@ -17,8 +17,6 @@ from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _INTO = 1e6
 """Added to the ranking of motions that collide with a moving entity."""

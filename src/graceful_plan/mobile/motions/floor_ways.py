@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
@@ -19,8 +19,6 @@ from graceful_plan.mobile.planners.footprint import floor_around, footprint, rad
 from graceful_plan.path import evenly
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _CELL, _AROUND = 0.05, 8.0
 """Width of a cell, and the margin of the map around both ends [m]."""

@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.mobile.motions.drive import nearest, with_heading
 from graceful_plan.mobile.motions.stages import DriveStage, Move, stages
 from graceful_plan.path import Path
-
-Array = np.ndarray
 
 _SHARP = 1.2
 """Heading change above which the base should first turn in place [rad]."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.arc_stops import speed_and_turn
@@ -21,9 +21,8 @@ from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
 from graceful_plan.query.request import Request
 from graceful_plan.query.via.legs import one_after_the_other
+from graceful_plan.timing.topp import EndSpeeds
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 _SLOWEST = 0.05
 """Least speed at which a base follows a curve from its present velocity [m/s]; below it, the curvature may be large."""
@@ -88,7 +87,7 @@ def passing_motions(stop: Trajectory, onward: Trajectory, request: Request) -> I
             continue
         size = (1.0 - _RESERVE) * float(np.linalg.norm(begun.qd))
         try:
-            driven = request.constraints.timed(Drive((curve,)), speed=request.speed, start_speed=size)
+            driven = request.constraints.timed(Drive((curve,)), speed=request.speed, ends=EndSpeeds(start=size))
         except RetimingError:
             continue
         yield one_after_the_other([_between(driven, begun, end), after])

@@ -9,13 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.blend import CurveGrid, places
 from graceful_plan.timing.spline import Spline
-
-Array = np.ndarray
 
 _INTERVALS, _BY_METRE = 128, 25.0
 """Least number of intervals of the coarsest grid, and least number per length [1/m]. With such a grid, the sideways

@@ -9,10 +9,8 @@ from itertools import groupby
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
-
-Array = np.ndarray
 
 _STILL = 1e-9
 """Displacement below which a joint counts as standing still [rad or m]."""

@@ -21,9 +21,9 @@ from graceful_plan.mobile.planners.postures import postures
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.native import native_space, run_slice
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
-from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.setting_checks import count, positive_or_none
 
 
 @final
@@ -58,7 +58,7 @@ class DriveLattice(Planner):
         if not isinstance(self.moves_arm, bool):
             raise SettingError("moves_arm", self.moves_arm, "True or False")
         for cell in self.cells:
-            positive("cells", cell)
+            positive_or_none("cells", cell)
         decreasing = all(a > b for a, b in zip(self.weights, self.weights[1:], strict=False))
         if not self.cells or not self.weights or self.weights[-1] != 1.0 or not decreasing:
             raise SettingError("weights", self.weights, "decreasing numbers, the last of them 1")

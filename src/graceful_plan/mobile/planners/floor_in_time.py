@@ -17,7 +17,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int, UInt8
+from graceful_plan.array_types import Array, Bool, Float, Int, UInt8
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.static_objective import without_moving
@@ -39,12 +39,10 @@ from graceful_plan.mobile.planners.postures import BASE
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import positive
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_or_none
 
 _FINE = 0.05
 """Width of the cells of the map cut from the scene [m]."""
@@ -94,7 +92,7 @@ class FloorInTime(Planner):
     def __post_init__(self) -> None:
         plain_numbers(self)
         for name in ("cell", "around", "late"):
-            positive(name, getattr(self, name))
+            positive_or_none(name, getattr(self, name))
 
     @handle_start_at_goal
     def solve(

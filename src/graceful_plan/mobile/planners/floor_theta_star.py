@@ -15,7 +15,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
@@ -24,10 +24,8 @@ from graceful_plan.mobile.planners.footprint import floor_around, footprint, nea
 from graceful_plan.mobile.planners.postures import BASE, postures
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
-from graceful_plan.planners.settings import positive
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_or_none
 
 _COARSE = 4
 """Row and column stride of the cells in which impact is evaluated."""
@@ -59,8 +57,8 @@ class FloorThetaStar(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("resolution", self.resolution)
-        positive("around", self.around)
+        positive_or_none("resolution", self.resolution)
+        positive_or_none("around", self.around)
 
     @handle_start_at_goal
     def solve(

@@ -7,13 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.postures import BASE
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _SLICES = 5
 """Largest number of discs of a cover."""

@@ -14,19 +14,16 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.mobile.floor.reeds_shepp import Steering, shortest_curves
 from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.ompl.kind import Kind
-from graceful_plan.planners.ompl.session import quiet
+from graceful_plan.planners.ompl.session import end_of_slice, quiet
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals
 
-Array = np.ndarray
 Pose = tuple[float, float, float]
 
-_SLICE_SECONDS = 0.02
-_SLICE_ITERATIONS = 100
 _CHORD = 0.1
 """Largest length of the chords that approximate curves [m]."""
 _TURN = 0.35
@@ -84,7 +81,7 @@ class PoseSession:
         while not self.budget.exhausted:
             if self.kind.name == _ROADMAP:
                 with quiet():
-                    planner.growRoadmapPtc(self._termination())
+                    planner.growRoadmapPtc(end_of_slice(self.budget))
                 if planner.milestoneCount() < _GROWN * looked and not self.budget.exhausted:
                     continue
                 looked = planner.milestoneCount()
@@ -95,21 +92,9 @@ class PoseSession:
                 before = poses
                 yield self._path(poses, curves)
 
-    def _termination(self) -> ob.PlannerTerminationCondition:
-        budget = self.budget
-        end, used = budget.elapsed + min(_SLICE_SECONDS, budget.remaining_seconds), 0
-        timed = np.isfinite(budget.time_limit)
-
-        def stop() -> bool:
-            nonlocal used
-            used += 1
-            return used > _SLICE_ITERATIONS or (timed and budget.elapsed >= end) or not budget.spend()
-
-        return ob.PlannerTerminationCondition(stop)
-
     def _slice(self, planner: ob.Planner, definition: ob.ProblemDefinition) -> Float[Array, "pose 3"] | None:
         with quiet():
-            planner.solve(self._termination())
+            planner.solve(end_of_slice(self.budget))
             poses = None
             if definition.hasExactSolution():
                 poses = np.array([_pose(state) for state in definition.getSolutionPath().getStates()])

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Problem
-
-Array = np.ndarray
 
 BASE = 3
 """Number of joints of the base: along x, along y, heading."""

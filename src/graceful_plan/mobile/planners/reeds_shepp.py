@@ -27,8 +27,8 @@ from graceful_plan.path import Path, is_whole, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
-from graceful_plan.planners.settings import fraction, positive
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
+from graceful_plan.setting_checks import fraction, positive_or_none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,8 @@ class PoseSpace:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("radius", self.radius)
-        positive("around", self.around)
+        positive_or_none("radius", self.radius)
+        positive_or_none("around", self.around)
 
 
 @final
@@ -70,7 +70,7 @@ class ReedsSheppRRT(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("range", self.range)
+        positive_or_none("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
     @handle_start_at_goal
@@ -114,9 +114,9 @@ class ReedsSheppRRTStar(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("range", self.range)
+        positive_or_none("range", self.range)
         fraction("goal_bias", self.goal_bias)
-        positive("rewire_factor", self.rewire_factor)
+        positive_or_none("rewire_factor", self.rewire_factor)
 
     @handle_start_at_goal
     def solve(

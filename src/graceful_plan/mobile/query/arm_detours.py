@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
-
-Array = np.ndarray
 
 _BASE = 3
 """Number of joints of the base, which precede those of the arm."""

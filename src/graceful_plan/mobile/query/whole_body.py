@@ -16,7 +16,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.query.endpoints.base_goals import BaseGoals
 from graceful_plan.query.endpoints.configurations import goal_labels, wrapped_near
@@ -29,8 +29,6 @@ from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 BASE = 3
 """Number of joints of the base, before those of the arm."""

@@ -27,8 +27,8 @@ from graceful_plan.core import _native
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
+from graceful_plan.setting_checks import count, positive_fraction
 
 
 @final

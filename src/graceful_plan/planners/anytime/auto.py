@@ -10,6 +10,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
@@ -18,10 +19,8 @@ from graceful_plan.planners.anytime.anytime import Anytime
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count
 
 _ROUND_SECONDS = 0.01
 """Time between two exchanges [s]."""

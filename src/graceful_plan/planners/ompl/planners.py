@@ -23,9 +23,9 @@ from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count, fraction, positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
+from graceful_plan.setting_checks import count, fraction, positive_or_none
 
 
 @final
@@ -48,7 +48,7 @@ class RRT(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("range", self.range)
+        positive_or_none("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
     @handle_start_at_goal
@@ -82,7 +82,7 @@ class BITStar(Planner):
     def __post_init__(self) -> None:
         plain_numbers(self)
         count("samples_per_batch", self.samples_per_batch)
-        positive("rewire_factor", self.rewire_factor)
+        positive_or_none("rewire_factor", self.rewire_factor)
 
     @handle_start_at_goal
     def solve(

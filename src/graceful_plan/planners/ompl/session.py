@@ -18,13 +18,12 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from graceful_plan.array_types import Array
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.planner import Budget
-
-Array = np.ndarray
 
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100
@@ -41,6 +40,19 @@ def quiet() -> Generator[None, None, None]:
         yield
     finally:
         ou.setLogLevel(level)
+
+
+def end_of_slice(budget: Budget) -> ob.PlannerTerminationCondition:
+    """Return the condition that ends a slice of a search; each evaluation is one iteration of the budget."""
+    end, used = budget.elapsed + min(_SLICE_SECONDS, budget.remaining_seconds), 0
+    timed = np.isfinite(budget.time_limit)
+
+    def stop() -> bool:
+        nonlocal used
+        used += 1
+        return used > _SLICE_ITERATIONS or (timed and budget.elapsed >= end) or not budget.spend()
+
+    return ob.PlannerTerminationCondition(stop)
 
 
 @final
@@ -159,16 +171,8 @@ class Session:
                     self._shrink()
 
     def _slice(self, budget: Budget) -> Path | None:
-        end = budget.elapsed + min(_SLICE_SECONDS, budget.remaining_seconds)
-        timed, used = np.isfinite(budget.time_limit), 0
-
-        def stop() -> bool:
-            nonlocal used
-            used += 1
-            return used > _SLICE_ITERATIONS or (timed and budget.elapsed >= end) or not budget.spend()
-
         with quiet():
-            self.planner.solve(ob.PlannerTerminationCondition(stop))
+            self.planner.solve(end_of_slice(budget))
             if not self.definition.hasExactSolution():
                 self.definition.clearSolutionPaths()
                 return None

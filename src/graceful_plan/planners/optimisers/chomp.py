@@ -23,7 +23,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
@@ -33,9 +33,7 @@ from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_energy import ObstaclePotential, PathEnergy
 from graceful_plan.planners.optimisers.workpiece import JITTER, DescentState
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.settings import count, positive
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, positive_or_none
 
 METHODS = ("lbfgs", "gradient")
 """Names of descent methods."""
@@ -89,13 +87,13 @@ class CHOMP(Optimiser):
         count("memory", self.memory)
         count("stage_iterations", self.stage_iterations)
         for name in ("obstacle_weight", "obstacle_reach", "obstacle_step", "longest_step", "bend"):
-            positive(name, getattr(self, name))
+            positive_or_none(name, getattr(self, name))
         if self.method not in METHODS:
             raise SettingError("method", self.method, f"one of {', '.join(map(repr, METHODS))}")
         if not isinstance(self.widths, tuple):
             raise SettingError("widths", self.widths, "several widths [m]: (0.2, 0.06)")
         for width in self.widths:
-            positive("widths", width)
+            positive_or_none("widths", width)
 
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator

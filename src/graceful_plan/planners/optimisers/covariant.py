@@ -15,11 +15,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.planners.optimisers.path_energy import Evaluation
 from graceful_plan.planners.optimisers.smoothness import Smoothness
-
-Array = np.ndarray
 
 _SUFFICIENT = 1e-4
 """Share of the decrease predicted by the gradient that a step has to achieve (Armijo)."""

@@ -9,11 +9,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.planners.interruptible import InterruptibleProblem, checked_costs
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem, edge_totals
-
-Array = np.ndarray
 
 DIFFERENCE = 0.02
 """Displacement of the ends of edges for central differences [rad].

@@ -7,12 +7,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.path import Path, evenly
 from graceful_plan.planners.interruptible import InterruptibleProblem
-
-Array = np.ndarray
 
 _LEAST_GAIN = 1e-6
 """Relative decrease of J that counts as an improvement."""

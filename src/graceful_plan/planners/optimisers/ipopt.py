@@ -20,7 +20,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
@@ -29,9 +29,7 @@ from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_program import PathProgram
 from graceful_plan.planners.optimisers.workpiece import JITTER, DescentState
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.settings import count, positive
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, positive_or_none
 
 _SETTLED, _IDLE = 1e-4, 10
 """Relative decrease of J below which an iteration counts as idle, and number of consecutive ones that end a solve."""
@@ -82,9 +80,9 @@ class CasADi(Optimiser):
         count("solve_iterations", self.solve_iterations)
         count("memory", self.memory)
         for name in ("reach", "clearance", "spacing", "bend"):
-            positive(name, getattr(self, name))
+            positive_or_none(name, getattr(self, name))
         for width in self.widths:
-            positive("widths", width)
+            positive_or_none("widths", width)
 
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator

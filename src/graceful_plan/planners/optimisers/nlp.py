@@ -18,9 +18,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 _FEASIBLE = frozenset({"Solve_Succeeded", "Solved_To_Acceptable_Level"})
 _STOPPED = frozenset({"User_Requested_Stop", "Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded"})

@@ -9,12 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
-
-Array = np.ndarray
 
 _SHARE_OF_SHORTCUTS = 0.1
 """Share of the remaining budget for shortcutting the first path; the rest is for the optimiser."""

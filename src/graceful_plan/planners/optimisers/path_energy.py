@@ -26,10 +26,8 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
-
-Array = np.ndarray
 
 _TINY = 1e-12
 """Length below which an edge has no direction [rad]."""

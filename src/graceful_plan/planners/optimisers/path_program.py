@@ -6,12 +6,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
 from graceful_plan.planners.optimisers.nlp import Pattern, Program, Values
 from graceful_plan.planners.optimisers.smoothness import Smoothness
-
-Array = np.ndarray
 
 _UNIT = 0.05
 """Unit of clearance in constraints [m], so that their values are of O(1)."""

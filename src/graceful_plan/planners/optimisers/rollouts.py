@@ -12,13 +12,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.scene_problem import SceneProblem
-
-Array = np.ndarray
 
 _FLAT = 1e-3
 """Least range of costs at a point, relative to the largest range at any point; smaller ranges are scaled as this."""

@@ -21,11 +21,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.settings import count
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, not_negative
 
 _LIMIT_PASSES = 10
 """Largest number of bumps per joint; points that are still outside the limits are then clamped."""
@@ -52,8 +50,7 @@ class Smoothness:
         count("n", self.n)
         if self.order not in (1, 2):
             raise SettingError("order", self.order, "1 or 2")
-        if not 0.0 <= self.tether < np.inf:
-            raise SettingError("tether", self.tether, "a finite number >= 0")
+        not_negative("tether", self.tether)
 
     @cached_property
     def difference(self) -> Float[Array, "row point"]:

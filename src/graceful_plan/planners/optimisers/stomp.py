@@ -25,7 +25,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path, evenly, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
@@ -33,9 +33,7 @@ from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.rollouts import Rollouts, finely_checked, weights
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.settings import count, positive
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, positive_or_none
 
 _NEGLIGIBLE = 1e-9
 """Relative gain below which a change is rounding, not an improvement."""
@@ -78,8 +76,8 @@ class STOMP(Optimiser):
         count("points", self.points)
         count("rollouts", self.rollouts)
         count("elites", self.elites, 0)
-        positive("sharpness", self.sharpness)
-        positive("deviation", self.deviation)
+        positive_or_none("sharpness", self.sharpness)
+        positive_or_none("deviation", self.deviation)
         if not self.reaches or not all(0.0 < reach <= 1.0 for reach in self.reaches):
             raise SettingError("reaches", self.reaches, "at least one number in (0, 1]")
 

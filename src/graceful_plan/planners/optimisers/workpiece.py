@@ -6,14 +6,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
 from graceful_plan.planners.optimisers.incumbent import Incumbent
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, WidenableObjective
-
-Array = np.ndarray
 
 JITTER = 1e-3
 """Displacement that breaks symmetries, at which the gradient is 0 [rad]."""

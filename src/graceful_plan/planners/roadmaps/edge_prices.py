@@ -13,9 +13,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 _NO_INDEX = np.zeros(0, dtype=np.int32)
 _TELLING = 8  # edges with exposure that are needed to compare directions

@@ -8,11 +8,10 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
-
-Array = np.ndarray
+from graceful_plan.setting_checks import not_negative
 
 
 @final
@@ -74,8 +73,7 @@ class Graph:
         References:
             Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm", ICAPS 2020.
         """
-        if not 0.0 <= epsilon < np.inf:
-            raise SettingError("epsilon", epsilon, "a finite number of at least 0")
+        not_negative("epsilon", epsilon)
         if not seconds >= 0.0:
             raise SettingError("seconds", seconds, "a time of at least 0 s")
         costs = self._costs(cost, (2,))

@@ -19,13 +19,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts, Edges, Price, symmetric
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.shortcut import Line
-
-Array = np.ndarray
 
 FIRST_SHARE = 0.3
 """Share of the nodes that are sampled before there are paths to sample near."""

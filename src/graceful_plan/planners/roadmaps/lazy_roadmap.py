@@ -11,12 +11,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
-
-Array = np.ndarray
 
 _UNKNOWN, _FREE, _BLOCKED = 0, 1, 2
 _NEIGHBOUR_CHUNK = 150_000  # distances per step, about 3 ms

@@ -16,17 +16,15 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
-from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, positive_or_none
 
 _PROVEN = 1e-8
 """Relative gap to the lower bound of the cost at which a path counts as optimal."""
@@ -111,7 +109,7 @@ class PRMStar(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("factor", self.factor)
+        positive_or_none("factor", self.factor)
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem
-from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
+from graceful_plan.setting_checks import positive_or_none
 
 _CONNECT_STEPS = 3.0
 """Default connection range in steps; 10 % of the extent of the space."""
@@ -36,7 +36,7 @@ class BiTRRT(TransitionTrees):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("connection_range", self.connection_range)
+        positive_or_none("connection_range", self.connection_range)
 
     def first_path(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         """Grow both trees alternately until they meet or the budget ends.

@@ -9,12 +9,11 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.transition import (
@@ -25,8 +24,7 @@ from graceful_plan.planners.trees.transition import (
     estimate_cost_range,
 )
 from graceful_plan.planners.trees.tree import Tree, steer
-
-Array = np.ndarray
+from graceful_plan.setting_checks import positive_or_none
 
 _REACH = 0.035
 """Default longest extension, as a share of the extent of the space (OMPL's default)."""
@@ -125,7 +123,7 @@ class TransitionTrees(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("range", self.range)
+        positive_or_none("range", self.range)
         if not self.refinement_ratio >= 0.0:
             raise SettingError("refinement_ratio", self.refinement_ratio, "a number >= 0, or infinity")
         self._transition()

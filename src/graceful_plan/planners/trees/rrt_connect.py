@@ -17,9 +17,9 @@ from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
+from graceful_plan.setting_checks import count, positive_fraction
 
 
 @final

@@ -23,20 +23,18 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.native_descents import NativeDescents
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count, fraction, positive
 from graceful_plan.planners.shortcut import Line
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.star_tree import StarTree
 from graceful_plan.planners.trees.untried import Untried
 from graceful_plan.planners.trees.wiring import EdgeGuess, TreeConnector
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, fraction, positive_or_none
 
 _REACH = 0.08
 """Default longest extension, as a share of the extent of the space: that of RRT-Connect."""
@@ -76,7 +74,7 @@ class _StarTrees(Planner):
     def __post_init__(self) -> None:
         plain_numbers(self)
         for name in ("range", "rewire_factor"):
-            positive(name, getattr(self, name))
+            positive_or_none(name, getattr(self, name))
         for name in ("goal_bias", "path_bias", "trust"):
             fraction(name, getattr(self, name))
         count("batch", self.batch)

@@ -6,9 +6,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 _FIRST_CAPACITY = 1024
 _NEGLIGIBLE = 1e-9

@@ -18,19 +18,17 @@ from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, steps_inside, tool_jacobian
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.tree import Tree
-
-Array = np.ndarray
+from graceful_plan.setting_checks import count, positive_or_none
 
 _AT_ONCE = 8
 """Samples in a batch."""
@@ -69,8 +67,8 @@ class ToolRRT(Planner):
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        positive("step", self.step)
-        positive("lever", self.lever)
+        positive_or_none("step", self.step)
+        positive_or_none("lever", self.lever)
         count("steps", self.steps)
         count("max_nodes", self.max_nodes, 10)
 

@@ -22,7 +22,7 @@ import numpy as np
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
-from graceful_plan.planners.settings import count, positive
+from graceful_plan.setting_checks import count, positive_or_none
 
 Variant = Literal["jaillet", "devaurs"]
 
@@ -51,8 +51,8 @@ class TransitionSettings:
         plain_numbers(self)
         if self.variant not in ("jaillet", "devaurs"):
             raise SettingError("variant", self.variant, "'jaillet' or 'devaurs'")
-        positive("initial_temperature", self.initial_temperature)
-        positive("temperature_rate", self.temperature_rate)
+        positive_or_none("initial_temperature", self.initial_temperature)
+        positive_or_none("temperature_rate", self.temperature_rate)
         count("most_failures", self.most_failures, 0)
         if not 1.0 < self.temperature_factor < np.inf:
             raise SettingError("temperature_factor", self.temperature_factor, "a finite number > 1")

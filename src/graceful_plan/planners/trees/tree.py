@@ -6,9 +6,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float
 
 
 @final

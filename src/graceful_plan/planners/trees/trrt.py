@@ -14,10 +14,10 @@ import numpy as np
 
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem
-from graceful_plan.planners.settings import fraction
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
 from graceful_plan.planners.trees.tree import Tree, steer
 from graceful_plan.planners.trees.untried import Untried
+from graceful_plan.setting_checks import fraction
 
 
 @final

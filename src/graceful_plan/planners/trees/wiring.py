@@ -12,11 +12,9 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.planners.interruptible import InterruptibleProblem, checked_costs
 from graceful_plan.planners.trees.star_tree import StarTree
-
-Array = np.ndarray
 
 _PROBES = 64
 _TINY = 1e-300

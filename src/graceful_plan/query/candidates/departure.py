@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.static_objective import static_objective
@@ -30,8 +30,6 @@ from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 WAIT_STEP = 0.25
 """Step between candidate departure times [s]; larger if there would be more than `MOST_WAITS` steps."""

@@ -6,10 +6,8 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import evenly
-
-Array = np.ndarray
 
 APART = 0.3
 """Least distance of two distinct paths [rad or m]; it moves the tool by about 15 cm."""

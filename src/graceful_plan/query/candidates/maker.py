@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
-
-Array = np.ndarray
 
 
 @runtime_checkable

@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
@@ -29,8 +29,6 @@ from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, subsampled
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-
-Array = np.ndarray
 
 _SEARCH_SHARE = 0.15
 """Share of a round for the search; the rest is for descents from its paths."""

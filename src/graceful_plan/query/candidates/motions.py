@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
@@ -18,8 +18,6 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
 """Distances by which a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops there."""
@@ -47,9 +45,7 @@ class Motion:
 def timed_curve(found: DescentResult, request: Request) -> Motion | None:
     """Time the curve of a descent; return None if no timing satisfies the constraints."""
     try:
-        trajectory = request.constraints.timed(
-            found.curve, speed=request.speed, start_speed=request.start_speed, end_speed=request.end_speed
-        )
+        trajectory = request.constraints.timed(found.curve, speed=request.speed, ends=request.end_speeds)
     except RetimingError:
         return None
     motion = costed(trajectory.path, trajectory, found.start.arrival, request)
@@ -112,13 +108,7 @@ def price_of_time(request: Request) -> float:
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline with its corners cut by up to `deviation` [rad]."""
-    trajectory = request.constraints.retimed(
-        whole,
-        deviation=deviation,
-        speed=request.speed,
-        start_speed=request.start_speed,
-        end_speed=request.end_speed,
-    )
+    trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed, ends=request.end_speeds)
     return costed(whole, trajectory, arrival, request)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from graceful_plan.analysis.harm_law import HarmLaw
 from graceful_plan.analysis.risk_measures import RiskMeasure
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
@@ -35,8 +35,6 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
 from graceful_plan.query.candidates.search import ALL, Search, search, subsampled
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _SEARCH = 0.8
 """Share of the time for the search; the rest is for refinement."""

@@ -12,13 +12,11 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, steps_inside, tool_jacobian, without_yaw
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _STEP = (0.01, np.deg2rad(2.0))
 """Largest step of the tool along the line [m, rad]."""

@@ -7,11 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.tool_motion import matrix_vector, missing_twist, rotation_matrix
 from graceful_plan.scene.pose_goal import PoseGoal
-
-Array = np.ndarray
 
 _STILL = 1e-9
 """Distance [m] and angle [rad] below which the line is a single pose."""

@@ -13,14 +13,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.straightness import straightness
-from graceful_plan.path import is_real
 from graceful_plan.planners.motion_descent import time_price
 from graceful_plan.query.arguments import checked_objective, checked_seed, checked_speed
 from graceful_plan.query.candidates.motions import Motion
@@ -33,10 +32,9 @@ from graceful_plan.query.verification import verdict_of
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
+from graceful_plan.setting_checks import positive
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 DEVIATION = 1e-3
 """Default bound of the tool's distance from its line [m]."""
@@ -100,7 +98,7 @@ def plan_cartesian(
     started = time.perf_counter()
     if not isinstance(goal, PoseGoal):
         raise SettingError("goal", goal, "a PoseGoal: straight motions go from the tool's pose to another")
-    bounds = _positive("deviation", deviation), _positive("angle", angle)
+    bounds = positive("deviation", deviation), positive("angle", angle)
     share, rng = checked_speed(speed), checked_seed(seed)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))
     held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
@@ -122,12 +120,6 @@ def plan_cartesian(
         result = replace(result, status=PlanStatus.INVALID_GOAL, detail=f"{result.detail}; {ends.detail}")
     detail = "; ".join([*starts.notes, *([result.detail] if result.detail else [])])
     return replace(result, detail=detail, stats={"total_time": time.perf_counter() - started})
-
-
-def _positive(name: str, value: object) -> float:
-    if not (is_real(value) and 0.0 < value < np.inf):
-        raise SettingError(name, value, "a finite number > 0")
-    return float(value)
 
 
 @dataclass(eq=False)

@@ -5,17 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.query.endpoints.ik import FreeTest, IKResult
 from graceful_plan.query.endpoints.usable import Resolved
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 
 class BaseGoals(ABC):

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.tasks import named_configuration
 from graceful_plan.timing.trajectory import State
 
-Array = np.ndarray
 _ROUNDING = 1e-12
 """Rounding error of a number of turns."""
 Configuration = ArrayLike | str

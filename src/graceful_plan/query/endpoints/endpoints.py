@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.exact import nearest_pair
@@ -19,8 +19,6 @@ from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import Resolved
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _SHARE_OF_GOALS = 0.6
 """Share of the time budget after which inverse kinematics ends with the goals found by then."""

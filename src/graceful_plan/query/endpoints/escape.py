@@ -11,12 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import first_collision
 from graceful_plan.path import Path
-
-Array = np.ndarray
 
 TARGET_CLEARANCE = 0.002
 """Clearance at the planner's end of an escape path [m]."""

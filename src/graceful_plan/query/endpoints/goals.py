@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
@@ -34,7 +34,6 @@ from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 Goal = Configuration | PoseGoal | BasePose | Sequence[Configuration | PoseGoal | BasePose]
 
 _ENOUGH, _OF_EACH = 8, 2

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.configurations import nearest_turns
@@ -25,7 +25,6 @@ from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 FreeTest = Callable[[Array], Array]
 """Returns which of the configurations [n, nq] are free: bool [n]."""
 

@@ -8,12 +8,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 
 @final

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import UnsupportedError
@@ -26,8 +26,6 @@ from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import usable
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.timing.trajectory import REST, State, Trajectory
-
-Array = np.ndarray
 
 _HALVINGS = 5
 """Steps of the bisection for the largest possible share of a goal velocity, whose resolution is 3 %."""

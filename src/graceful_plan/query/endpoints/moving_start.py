@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
@@ -32,8 +32,6 @@ from graceful_plan.query.endpoints.stopping import path_along, stops_from, too_f
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import REST, State, Trajectory
-
-Array = np.ndarray
 
 
 def find_start(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.query.endpoints.pose_solver import aims, tolerances, within
@@ -21,8 +21,6 @@ from graceful_plan.query.endpoints.usable import MOST_GOALS
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 LEVER = 0.25
 """Weight of rotation in the distance between poses [m/rad]."""

@@ -7,12 +7,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 PRECISION = 1e-3
 """Largest error of a solution that aims at the pose itself, as a share of the goal's tolerances."""

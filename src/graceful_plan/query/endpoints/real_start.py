@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError
@@ -27,8 +27,6 @@ from graceful_plan.query.via.legs import one_after_the_other
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 START_TOLERANCE = 0.005
 """Default for the largest distance outside of a limit that a start may have [rad or m]: resolution and backlash of

@@ -11,16 +11,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.topp import EndSpeeds
 from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
 
 _SHORTEST = 1e-3
 """Least length of a straight stop [rad]: timing merges vertices that are closer than 1e-5."""
@@ -86,7 +85,7 @@ def _straight(state: State, held: SceneConstraints, speed: float, late: Callable
         length = max(_SHORTEST, longer * 0.5 * size * seconds)
         line = Path(np.stack([state.q, state.q + length / size * state.qd]))
         try:
-            yield held.retimed(line, deviation=0.0, speed=speed, start_speed=size)
+            yield held.retimed(line, deviation=0.0, speed=speed, ends=EndSpeeds(start=size))
         except RetimingError:
             continue
 

@@ -8,12 +8,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import SceneObjective
-
-Array = np.ndarray
 
 _STEP = 0.1
 """Largest distance between samples of a move [rad]."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 CLAMPED = 1e-6
 """Largest distance outside a position limit [rad or m] that is clamped instead of refused."""

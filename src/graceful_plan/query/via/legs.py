@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
@@ -32,8 +32,6 @@ from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.trajectory import Trajectory
-
-Array = np.ndarray
 
 _SPACINGS = (0.8, 0.4, 0.2, 0.1, 0.05)
 """Spacings of points of a curve, along the legs [rad]."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
@@ -20,7 +20,6 @@ from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.tasks import named_configuration
 
-Array = np.ndarray
 Via = Configuration | PoseGoal
 """A configuration [nq], the name of a keyframe, or a pose of the tool."""
 

@@ -7,13 +7,11 @@ import logging
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.model_parts import colliding_geoms, geom_label, robot_bodies
 from graceful_plan.scene.specs import compile_spec
 from graceful_plan.scene.urdf.convex_parts import convex_parts
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

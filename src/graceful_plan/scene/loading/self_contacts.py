@@ -11,7 +11,7 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.exceptions import SceneError, SettingError, UnsupportedError
 from graceful_plan.scene.contacts import tested_pairs, unchecked_links
 from graceful_plan.scene.elements import AllowedContact
@@ -26,8 +26,6 @@ from graceful_plan.scene.model_parts import (
 )
 from graceful_plan.scene.screening import MAX_EXTENT
 from graceful_plan.scene.specs import compile_spec
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real, plain_numbers
+from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import finite
 
 
 @dataclass(frozen=True)
@@ -32,5 +31,4 @@ class BasePose:
             value = getattr(self, name)
             if value is None and name == "yaw":
                 continue
-            if not (is_real(value) and math.isfinite(value)):
-                raise SettingError(f"BasePose.{name}", value, "a finite number")
+            finite(f"BasePose.{name}", value)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.equalities import actuated
 from graceful_plan.scene.fingers import Hand, find_stroke, gap_between, leading_joints, moving_bodies
@@ -18,8 +18,6 @@ from graceful_plan.scene.model_parts import colliding_geoms, names
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _REACH = 0.004
 """Largest gap between pads and object [m]: the finger positions in scene notes are often a little too wide."""

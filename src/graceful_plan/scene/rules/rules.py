@@ -10,15 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, final, runtime_checkable
 
-import numpy as np
-
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.rules.grip import AdhesiveGrip, Grip
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
 
-Array = np.ndarray
 Vector = tuple[float, float, float]
 
 FRAMES = ("tool", "object")

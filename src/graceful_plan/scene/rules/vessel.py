@@ -8,12 +8,10 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.elements import Granular
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _ROUNDING = 1e-9
 REPOSE = np.deg2rad(33.0)

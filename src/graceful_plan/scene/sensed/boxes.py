@@ -5,12 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Array, Bool, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
 from graceful_plan.scene.loading.naming import check_new
-
-Array = np.ndarray
 
 _ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Axis orders in which cells are merged into rows, plates and blocks; the order with the fewest boxes is used."""

@@ -9,15 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, is_real, plain_numbers, real_array
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.roles import rigid_pose
 from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, closed, joined
 from graceful_plan.scene.sensed.own_points import on_robot
-
-Array = np.ndarray
 
 _NOISE = 0.01
 """Noise of depth sensors at the distance of an arm [m]."""

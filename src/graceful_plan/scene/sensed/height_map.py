@@ -10,12 +10,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, is_real, plain_numbers, real_array
 from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, joined
-
-Array = np.ndarray
 
 
 @final

@@ -5,11 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.model_parts import colliding_geoms
-
-Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _AT_A_TIME = 2_000_000

@@ -18,10 +18,8 @@ from typing import Any
 import numpy as np
 
 from graceful_plan import disk_cache
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import UnsupportedError
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

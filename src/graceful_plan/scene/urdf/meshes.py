@@ -10,12 +10,10 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import READ_ERRORS, SceneError, UnsupportedError, read_error_reason
 from graceful_plan.regular_file import read_content
 from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, mesh_weight
-
-Array = np.ndarray
 
 _MOST_BYTES = 100_000_000
 _READ = (".stl", ".obj")

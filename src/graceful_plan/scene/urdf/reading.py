@@ -18,13 +18,12 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.exceptions import READ_ERRORS, SceneError, UnknownNameError, UnsupportedError, read_error_reason
-from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
 from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_triangles, obj_content
+from graceful_plan.scene.urdf.robot_xml import parsed_robot
 
-_MOST_BYTES = 10_000_000
 _MOST_OF_MESHES = 2_000_000
 """Largest number of vertices and faces of all meshes together."""
 _LOG = logging.getLogger(__name__)
@@ -40,8 +39,6 @@ _SETTINGS = {
 }
 """Attributes of MuJoCo's compiler element."""
 _ODD = re.compile(r"[^A-Za-z0-9_.-]")
-_PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[\w.-]+(?=[\s=/>])")
-_MOST_PREFIXES = 20
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -150,7 +147,11 @@ def read_urdf(
     meshes = {mesh.get("filename", "") for mesh in root.iterfind("link/collision/geometry/mesh")}
     if root.find("link/collision/geometry") is None:
         raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
-    named = None if decompose is None or isinstance(decompose, bool) else _meshes_of(root, decompose)
+    if isinstance(decompose, Collection):
+        of_links = _meshes_of(root, decompose)
+        divided, closely = {mesh: mesh in of_links for mesh in meshes}, True
+    else:
+        divided, closely = dict.fromkeys(meshes, decompose), False
     assets: dict[str, bytes] = {}
     parts: dict[str, list[str]] = {}
     if isinstance(packages, Mapping):
@@ -163,10 +164,7 @@ def read_urdf(
         weight += mesh_weight(content, ending)
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
-        if named is not None:
-            found = _in_parts(content, ending, name, name in named, closely=True)
-        else:
-            found = _in_parts(content, ending, name, bool(decompose) if decompose is not None else None)
+        found = _in_parts(content, ending, name, divided[name], closely=closely)
         stem = _ODD.sub("_", Path(name).stem)[:60]  # for messages about the mesh
         parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
@@ -185,58 +183,6 @@ def read_urdf(
     return UrdfRobot(name=root.get("name") or "robot", joints=tuple(map(_joint, root.iterfind("joint"))), spec=spec)
 
 
-def parsed_robot(source: str | Path) -> tuple[ET.Element, Path | None]:
-    """Parse the XML of a robot from a file or from text; return its root, and the folder of the file.
-
-    Raises:
-        SceneError: If it is broken or hostile.
-    """
-    text, folder = _text(source)
-    return _parsed(text, source), folder
-
-
-def _text(source: str | Path) -> tuple[str, Path | None]:
-    if isinstance(source, str) and source.lstrip().startswith("<"):
-        return source, None
-    file = path_of(source)
-    try:
-        content = read_content(file, _MOST_BYTES)
-    except READ_ERRORS as error:
-        raise SceneError(read_error_reason(error), file=str(file)) from None
-    try:
-        return content.decode("utf-8"), file.resolve().parent
-    except UnicodeDecodeError:
-        raise SceneError("not UTF-8 text", file=str(file)) from None
-
-
-def _parsed(text: str, source: str | Path) -> ET.Element:
-    file = None if text is source else str(source)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise SceneError("document types and entities are not read", file=file)
-    try:
-        root = ET.fromstring(_with_prefixes(text))
-    except ET.ParseError as error:
-        raise SceneError(f"not XML: {error}", file=file, line=error.position[0]) from None
-    except UnicodeEncodeError as error:
-        raise SceneError(f"not valid UTF-8: {error.reason}", file=file) from None
-    if root.tag != "robot":
-        raise SceneError(f"a URDF has the root <robot>, not <{root.tag}>", file=file)
-    if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
-        raise SceneError("this is a xacro file; run xacro first, and give the URDF that it prints", file=file)
-    for element in root.iter():
-        for foreign in [name for name in element.attrib if name.startswith("{")]:
-            del element.attrib[foreign]
-    return root
-
-
-def _with_prefixes(text: str) -> str:
-    """Declare undeclared attribute prefixes of other programs, such as `drake:`; published files often lack them."""
-    used = set(_PREFIX.findall(text)) - {"xml", "xmlns"}
-    missing = [prefix for prefix in sorted(used)[:_MOST_PREFIXES] if f"xmlns:{prefix}" not in text]
-    declared = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in missing)
-    return re.sub(r"<robot(?=[\s>])", f"<robot{declared}", text, count=1)
-
-
 def _meshes_of(root: ET.Element, links: Collection[str]) -> set[str]:
     """Return the names of the collision meshes of links; raises UnknownNameError if there is no such link."""
     known = {link.get("name", ""): link for link in root.iterfind("link")}
@@ -247,7 +193,7 @@ def _meshes_of(root: ET.Element, links: Collection[str]) -> set[str]:
 
 
 def _in_parts(
-    content: bytes, ending: str, name: str, decompose: bool | None, *, closely: bool = False
+    content: bytes, ending: str, name: str, decompose: bool | None, *, closely: bool
 ) -> list[tuple[bytes, str]]:
     """Return contents and suffixes of the mesh files that replace a mesh: its convex parts, or the mesh itself."""
     if decompose is False:

@@ -12,7 +12,8 @@ from typing import final
 
 from graceful_plan.exceptions import SceneError, UnknownNameError, names_file
 from graceful_plan.scene.elements import AllowedContact
-from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot, parsed_robot
+from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot
+from graceful_plan.scene.urdf.robot_xml import parsed_robot
 
 _LOG = logging.getLogger(__name__)
 

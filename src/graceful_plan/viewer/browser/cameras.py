@@ -6,11 +6,9 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.question import Question
-
-Array = np.ndarray
 
 _GAP = 0.4
 """Distance between two copies of the scene [m]."""

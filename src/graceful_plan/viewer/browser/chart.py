@@ -6,10 +6,9 @@ from typing import Any, final
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.viewer.shown import ShownMotion
 from graceful_plan.viz.style import ENTITY_COLOURS, OTHERS_COLOUR
-
-Array = np.ndarray
 
 _ENTITIES = 4
 _SERIES = _ENTITIES + 3

@@ -7,11 +7,9 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.shapes import parts
-
-Array = np.ndarray
 
 STRUCK = (255, 200, 0)
 """Colour of entities hit by a failure."""

@@ -8,12 +8,10 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.viewer.browser.controls import Controls
 from graceful_plan.viewer.poses import pose_of, quaternion_of
 from graceful_plan.viewer.question import Question
-
-Array = np.ndarray
 
 Change = Callable[[Question, Array], Question]
 """Function that returns a request with a changed pose."""

@@ -6,12 +6,10 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.viewer.fall import Coasting, Fall
 from graceful_plan.viewer.risk_layer import RiskLayer, scale_colours
 from graceful_plan.viewer.shown import ShownMotion
-
-Array = np.ndarray
 
 RISK = ("#2166ac", "#67a9cf", "#fddb6d", "#ef6548", "#b30000")
 """Colours of a path from no to maximum impact, visible on white and on black."""

@@ -9,8 +9,7 @@ import logging
 from collections.abc import Callable
 from typing import Any, final
 
-import numpy as np
-
+from graceful_plan.array_types import Array
 from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.browser.controls import build
@@ -23,8 +22,6 @@ from graceful_plan.viewer.failing import Failure, Replay, faults_of
 from graceful_plan.viewer.question import PlanAnswer, Question
 from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.state import ViewerState
-
-Array = np.ndarray
 
 _PANEL = 360
 """Width of the panel [pixels]."""

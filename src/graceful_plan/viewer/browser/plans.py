@@ -7,14 +7,12 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.viewer.browser import marks
 from graceful_plan.viewer.browser.cameras import Cameras
 from graceful_plan.viewer.browser.controls import BESIDE, GHOST, HIDDEN
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
 from graceful_plan.viewer.shown import ShownMotion
-
-Array = np.ndarray
 
 _GHOST = 0.3
 """Opacity of a ghost."""

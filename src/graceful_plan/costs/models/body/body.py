@@ -78,7 +78,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
@@ -89,8 +89,6 @@ from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 FAR = 8.0
 """U: number of spreads beyond which P is 0."""

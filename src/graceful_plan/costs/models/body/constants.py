@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.body.tables import ROWS
-from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import check_ranges, finite, not_negative, positive
 from graceful_plan.yaml_file import Block, YamlTable
 
 GENERATORS = ("collapse", "joint", "stuck", "stray")
@@ -49,10 +49,8 @@ class Margin:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not math.isfinite(self.offset):
-            raise SettingError("offset", self.offset, "a finite number")
-        if not 0.0 < self.spread < math.inf:
-            raise SettingError("spread", self.spread, "a positive number")
+        finite("offset", self.offset)
+        positive("spread", self.spread)
 
 
 @final
@@ -73,8 +71,7 @@ class Margins:
 
     def __post_init__(self) -> None:
         plain_numbers(self)
-        if not 0.0 <= self.stop_gain < math.inf:
-            raise SettingError("stop_gain", self.stop_gain, "at least 0")
+        not_negative("stop_gain", self.stop_gain)
         if not math.isfinite(self.stop_tolerance) or self.stop_tolerance < 0.0:
             raise SettingError("stop_tolerance", self.stop_tolerance, "at least 0")
 

@@ -10,14 +10,12 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.frames import body_frames
 from graceful_plan.core.link_groups import link_geoms
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 ROWS = ("body", "carried")
 """Components that the model supports, in this order."""

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
-from graceful_plan.costs.models.ranges import check_ranges
-from graceful_plan.exceptions import SettingError
 from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import check_ranges, fraction
 from graceful_plan.yaml_file import Block, YamlTable
 
 SHARED = (
@@ -88,8 +87,7 @@ class DropConstants:
         plain_numbers(self)
         values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
         check_ranges(values, positive=_POSITIVE, not_negative=_NOT_NEGATIVE)
-        if not 0.0 <= self.catch <= 1.0:
-            raise SettingError("catch", self.catch, "a probability")
+        fraction("catch", self.catch, "a probability")
 
 
 @final

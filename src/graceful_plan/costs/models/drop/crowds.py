@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.scene.sensed.boxes import joined
-
-Array = np.ndarray
 
 MAX_BOXES = 24
 """Number of surfaces up to which a body is kept as it is in a scene with more than `MOST` surfaces."""

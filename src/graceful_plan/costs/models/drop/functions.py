@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from graceful_plan.array_types import Array
 from graceful_plan.costs.models.drop.tables import BALL, ROUND
-
-Array = np.ndarray
 
 GRAVITY = 9.81
 BETA = np.sqrt(3.0) / np.pi

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
@@ -32,8 +32,6 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
 """Names of the constants that the core takes."""

@@ -11,22 +11,19 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.drop.constants import DropConstants
-from graceful_plan.costs.models.drop.functions import box, fall_time, positive, step
+from graceful_plan.costs.models.drop.functions import box, fall_time, step
 from graceful_plan.costs.models.drop.outlines import Shape, Targets, shape_of
 from graceful_plan.costs.models.drop.release import Release
 from graceful_plan.costs.models.drop.sides import SideStop, find_stop
 from graceful_plan.costs.models.drop.tables import DropTables
-
-Array = np.ndarray
 
 _TOUCH = 0.008  # smoothing width of the height at which a part reaches a top [m]
 _LOWEST = 0.012  # parts with bottoms this close to the lowest one support the object, too [m]
 _LEAST_AREA = 1e-6  # [m2]
 _LEAST_MOMENT = 1e-5  # [m2]
 LEAST_MASS = 1e-6
-WIDE = 0.1  # narrower half size at which the probability of ending a fall is halfway between `catch` and 1 [m]
 
 
 # --- the first contact and the support --------------------------------------------------------------------------------
@@ -143,36 +140,6 @@ class Landing:
         start = self.goes_on(constants.carry)
         start = start[:, None] if N.ndim == 3 else start
         return start + constants.drift * size * N / (B + LEAST_MASS)
-
-
-def catching(tables: DropTables, constants: DropConstants) -> Float[Array, " target"]:
-    """Return P that each target ends a fall onto its middle."""
-    narrow = tables.target_carries.min(axis=1)
-    return constants.catch + (1.0 - constants.catch) * narrow**2 / (narrow**2 + WIDE**2)
-
-
-def loose(
-    tables: DropTables, constants: DropConstants, landing: Landing
-) -> tuple[Float[Array, "n levels"], Float[Array, "n levels 2"]]:
-    """Return B [n level+1] and N [n level+1 2]: the falling mass above each level, and last below all levels."""
-    k, size, targets = constants, tables.size, Targets(tables)
-    a_top, b_top = tables.target_carries.T
-    catches = catching(tables, constants)
-    B, N = [np.zeros((len(landing.point), 1))], [np.zeros((len(landing.point), 2))]
-    for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
-
-        def missed(place: Float[Array, "n 2"], here: slice = slice(first, last)) -> Float[Array, "n 1"]:
-            """P that the level does not end a fall at a place."""
-            x, y = (value[:, here] for value in targets.place(place))
-            inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
-            inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
-            return np.prod(1.0 - catches[here] * inside, axis=1, keepdims=True)
-
-        keep, away = missed(landing.falls_to(k, size, B[-1], N[-1])), landing.away[:, level]
-        M = landing.leaving[:, level, None] * missed(landing.goes_on(k.carry) + k.drift * size * away)
-        B.append(B[-1] * keep + M)
-        N.append(N[-1] * keep + M * away)
-    return np.concatenate(B, axis=1), np.stack(N, axis=1)
 
 
 @final

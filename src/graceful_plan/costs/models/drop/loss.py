@@ -11,13 +11,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.drop.tables import drop_tables, highest_tops
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 LANDING_LOSS = 0.7
 """b: mean of -ln of the share of the vertical energy that acts along the normal where the object lands. Measured:

@@ -26,14 +26,12 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, DropTables
 from graceful_plan.exceptions import FormatError, ShapeError
 from graceful_plan.formats.npz_file import read_arrays
 from graceful_plan.regular_file import path_of
 from graceful_plan.untrusted_json import parse_json
-
-Array = np.ndarray
 
 STATE_FEATURES = (
     "farther_beside", "nearer_beside", "approach", "speed", "vertical_speed", "drop_height", "above_top",
@@ -152,12 +150,6 @@ class DropNetwork:
 def squash(x: Array) -> Array:
     """Return x/sqrt(1 + x^2)."""
     return x / np.sqrt(1.0 + x * x)
-
-
-def corrected(P: Float[Array, "*batch"], log_factor: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Return probabilities with their odds multiplied by factors, given by their logarithms."""
-    factor = np.exp(log_factor * fade(P))
-    return P * factor / (1.0 - P + P * factor)
 
 
 def fade(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

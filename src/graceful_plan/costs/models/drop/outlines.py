@@ -7,12 +7,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.models.drop.functions import part_reach
 from graceful_plan.costs.models.drop.release import Release, heights
 from graceful_plan.costs.models.drop.tables import BALL, ROUND, DropTables
-
-Array = np.ndarray
 
 
 @final

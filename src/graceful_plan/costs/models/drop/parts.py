@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-
-Array = np.ndarray
+from graceful_plan.array_types import Array, Float, Int
 
 
 def groups(

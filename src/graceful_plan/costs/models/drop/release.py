@@ -7,12 +7,10 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.functions import part_reach
 from graceful_plan.costs.models.drop.tables import DropTables
-
-Array = np.ndarray
 
 _UP = np.array([[0.0, 0.0, 1.0]])
 

@@ -12,13 +12,11 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.costs.models.drop.constants import DropConstants
 from graceful_plan.costs.models.drop.functions import GRAVITY, fall_time, smooth_step
 from graceful_plan.costs.models.drop.outlines import Shape, Targets
 from graceful_plan.costs.models.drop.release import Release
-
-Array = np.ndarray
 
 _TOUCH = 0.006  # smoothing width of the gap to a side, which excludes objects above its target [m]
 _TOP = 0.067  # smoothing width of the heights of a side's upper and lower edge [m]

@@ -14,7 +14,7 @@ from typing import Any, final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
 from graceful_plan.core.frames import reference_data
 from graceful_plan.core.kernels import CAPACITY
@@ -23,8 +23,6 @@ from graceful_plan.costs.models.drop.parts import groups
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 

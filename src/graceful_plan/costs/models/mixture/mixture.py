@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.consequence import damaged_by_body
@@ -35,8 +35,6 @@ from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 FALLING = ("carried", "contents")
 """Components that fall when the gripper lets go."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
@@ -22,8 +22,6 @@ from graceful_plan.costs.models.drop.tables import DISC, DropTables, drop_tables
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 MOST_PLACES = 16
 """Largest number of places for a predicted path."""

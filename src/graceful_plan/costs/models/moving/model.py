@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Array, Bool, Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel, reals
@@ -21,9 +21,6 @@ from graceful_plan.costs.models.moving.position_samples import PLACES, check_pla
 from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
-
 
 _ROUGH_PLACES = 12
 """Number of sample positions of a moving entity in the drop model of searches."""

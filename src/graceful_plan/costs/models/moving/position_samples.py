@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_whole
 from graceful_plan.scene.moving import MovingEntity
-
-Array = np.ndarray
 
 PLACES = 24
 """Default and largest number of sample positions of a normal distribution; even, and no multiple of `_STRIDE`."""

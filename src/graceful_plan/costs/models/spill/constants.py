@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import final
 
-from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.path import plain_numbers
+from graceful_plan.setting_checks import check_ranges
 from graceful_plan.yaml_file import Block, YamlTable
 
 USES = ("dropped", "held")

@@ -9,15 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Array, Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.functions import GRAVITY
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.constants import StopSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
-
-Array = np.ndarray
 
 _LEAST_FELT = 1e-4
 _SCALE = np.sqrt(3.0) / np.pi

@@ -11,15 +11,13 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Array, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.frames import reference_data
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.elements import Granular
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
-
-Array = np.ndarray
 
 DEPTH = 0.002
 """Depth of a puddle [m]: water at a contact angle of 45 degrees stands at 2.1 mm."""

@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.array_types import Int
+from graceful_plan.array_types import Array, Int
 from graceful_plan.exceptions import READ_ERRORS, FormatError, SceneError, read_error_reason
 from graceful_plan.mobile.floor.files.pictures import GreyPicture, read_picture
 from graceful_plan.yaml_file import Block, read_yaml
-
-Array = np.ndarray
 
 RESOLUTIONS = (1e-3, 100.0)
 """Range of supported cell widths [m]."""

@@ -8,17 +8,14 @@ Games 4, 2012. Optimal lengths are octile, in cells, without cutting corners.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.array_types import Bool
+from graceful_plan.array_types import Array, Bool
 from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
-
-Array = np.ndarray
 
 _FREE = b".GS"
 _KNOWN = b".GS@OTW"
@@ -104,23 +101,6 @@ def write_moving_ai(file: Path, blocked: Bool[Array, "row column"]) -> None:
     cells = np.where(blocked[::-1], ord("@"), ord(".")).astype(np.uint8)
     lines = np.concatenate([cells, np.full((rows, 1), ord("\n"), dtype=np.uint8)], axis=1)
     _write(file, f"type octile\nheight {rows}\nwidth {columns}\nmap\n".encode() + lines.tobytes())
-
-
-def write_scenarios(
-    file: str | Path, scenarios: Iterable[MovingAIScenario], map_name: str, shape: tuple[int, int]
-) -> None:
-    """Write a .scen file for a map with a given number of rows and columns.
-
-    Raises:
-        FormatError: If the file cannot be written.
-    """
-    rows, columns = shape
-    lines = ["version 1"]
-    for one in scenarios:
-        (x0, y0), (x1, y1) = one.start, one.goal
-        numbers = columns, rows, x0, rows - 1 - y0, x1, rows - 1 - y1, repr(float(one.length))
-        lines.append("\t".join(str(word) for word in (int(one.length / 4.0), map_name, *numbers)))
-    _write(Path(file), ("\n".join(lines) + "\n").encode())
 
 
 def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:

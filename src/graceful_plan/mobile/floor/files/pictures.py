@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Int
+from graceful_plan.array_types import Array, Bool, Int
 from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import read_content
-
-Array = np.ndarray
 
 _TOKEN = re.compile(rb"(?:\s|#[^\n]*\n)*(\d{1,10})(?![0-9])")
 """A number in the header of a PGM, after white space and comments."""
