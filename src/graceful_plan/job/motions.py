@@ -22,7 +22,7 @@ from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.placing import occupant
-from graceful_plan.job.still_base import reached_poses, straight_arm_motion
+from graceful_plan.job.still_base import is_reached_from, reached_poses, straight_arm_motion
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.verification import verify
 from graceful_plan.plan import plan
@@ -196,10 +196,16 @@ class Motions:
             now = None if X_WO == here else self.configuration(state, name, grasp, here)
             near = self.q_home if now is None else now
             began = time.perf_counter()
-            alone = self._alone(state, name)
-            held = alone.holding(name, grasp, self.supports.get(name, ()))
-            found = self.reached(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
-            is_usable = len(found) > 0 and self._leaves(found[0], alone, held, name, grasp)
+            found = reached_poses(
+                PoseGoal(grasp.tool_at(pose_of(X_WO))),
+                state.scene(),
+                near,
+                count=1,
+                seed=self.seed,
+                within=lambda: self._held_alone(state, name, grasp),
+                cancelled=self.cancelled or (lambda: False),
+            )
+            is_usable = len(found) > 0 and self._leaves(found[0], state, name, grasp)
             self._known[key] = found[0] if is_usable else None
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
@@ -218,19 +224,26 @@ class Motions:
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
 
-    def _leaves(self, q: Float[Array, " nq"], alone: JobState, held: Scene, name: str, grasp: Grasp) -> bool:
+    def _leaves(self, q: Float[Array, " nq"], state: JobState, name: str, grasp: Grasp) -> bool:
         """Tell whether the arm reaches the ends of the straight motions from a configuration that holds an object."""
-        if not any(len(self.reached(above, held, q)) for above in _lifts(q, held)):
+        held = self._held_alone(state, name, grasp)
+        if not any(self._is_reached_from(q, above, state, held) for above in _lifts(q, held)):
             return False
-        away, opened = _away(q, alone, held, name, grasp)
-        return away is None or len(self.reached(away, opened, q)) > 0
+        away, opened = _away(q, self._alone(state, name), held, name, grasp)
+        return away is None or self._is_reached_from(q, away, state, opened)
+
+    def _is_reached_from(self, q: Float[Array, " nq"], goal: PoseGoal, state: JobState, scene: Scene) -> bool:
+        return is_reached_from(q, goal, state.scene(), lambda: scene, seed=self.seed)
+
+    def _held_alone(self, state: JobState, name: str, grasp: Grasp) -> Scene:
+        """Return the scene with an object in the gripper, without everything else that the job may move."""
+        return self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
 
     def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
-        alone = self._alone(state, name)
-        held = alone.holding(name, grasp, self.supports.get(name, ()))
+        alone, held = self._alone(state, name), self._held_alone(state, name, grasp)
         up, why = None, ""
         for above in _lifts(q, held):
-            if len(self.reached(above, held, q)):
+            if self._is_reached_from(q, above, state, held):
                 result = straight_arm_motion(q, above, held, objective=self.objective, speed=self.speed)
                 up, why = result.trajectory, result.detail
                 if result.status is PlanStatus.SOLVED and up is not None:

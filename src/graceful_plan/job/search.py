@@ -23,12 +23,11 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby, islice
+from itertools import islice
 
 import numpy as np
 
 from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
-from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 
@@ -240,9 +239,7 @@ class SequenceSearch:
         for action in actions:
             if not self._in_order(node.state, action):
                 continue
-            others = Alternatives(
-                groups=_by_grasp(action.candidates(node.state, self.motions)), owed=self.motions.n_grasps
-            )
+            others = Alternatives(groups=action.groups(node.state, self.motions), owed=self.motions.n_grasps)
             yield self._drawn(node, action, others, grasps)
 
     def _drawn(self, node: Node, action: Action, others: Alternatives, grasps: int) -> Sequence[Edge]:
@@ -277,8 +274,8 @@ class SequenceSearch:
             if self.best is None or node.cost < self.best.cost:
                 first = self.best is None
                 self.best = node
-                if first:  # from now on the most promising edge comes first, not the deepest
-                    self._open = [(self._estimate(edge), k, edge) for _, k, edge in self._open]
+                if first:  # from now on the most promising edge comes first, not the deepest; estimates only grow
+                    self._open = [(edge.node.cost + edge.bound, k, edge) for _, k, edge in self._open]
                     heapq.heapify(self._open)
                 improved(node)
             return []
@@ -350,7 +347,7 @@ class SequenceSearch:
             if self._is_changeable(goal):
                 found[goal.name] = 0.0  # a tray, for example, may bring both close together
             else:
-                groups = islice(_by_grasp(goal.candidates(state, self.motions)), self.motions.n_grasps)
+                groups = islice(goal.groups(state, self.motions), self.motions.n_grasps)
                 ends = (goal.ends(state, choice, self.motions) for group in groups for choice in group)
                 # Without a candidate, it may be possible after a regrasp.
                 found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
@@ -407,14 +404,3 @@ class SequenceSearch:
             return id(edge.action), edge.choice
         here, protection = pose_key(edge.node.state.pose(edge.action.name)), self._protection(edge.node.state)
         return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, protection
-
-
-def _by_grasp(choices: Iterator[Hashable]) -> Iterator[Sequence[Hashable]]:
-    """Yield groups of choices with the same grasp; those without a grasp are one group."""
-    for _, group in groupby(choices, key=_grasp_of):
-        yield list(group)
-
-
-def _grasp_of(choice: Hashable) -> int | None:
-    grasp = choice.grasp if isinstance(choice, Carry) else choice
-    return id(grasp) if isinstance(grasp, Grasp) else None
