@@ -130,10 +130,10 @@ class SequenceSearch:
         """Search until all sequences are compared, or `over` returns True, given the number of planned edges."""
         seen: dict[object, float] = {}
         reached = self._expand(Node(state=self.start), seen, improved)
-        while (edge := self._next(reached)) is not None:
-            if over(self.planned):
-                self._push(edge)
+        while len(self._open) > len(self._followed):
+            if over(self.planned):  # before the estimates of the next edge, which may take time
                 return
+            edge = self._next(reached)
             reached = []
             node = None
             if self._may_pay(edge):
@@ -144,20 +144,21 @@ class SequenceSearch:
                 if waits := self._waits(edge.node, node):
                     self._start(edge.node, waits)
                 reached = self._expand(node, seen, improved)
+        self._open.clear()
         self.exhausted = True
 
     def _may_pay(self, edge: Edge) -> bool:
         """Tell whether an edge may lead to a cheaper sequence."""
         return self.best is None or self.least(edge) < self.best.cost
 
-    def _next(self, reached: Sequence[Edge]) -> Edge | None:
+    def _next(self, reached: Sequence[Edge]) -> Edge:
         """Return the edge to plan next: the best of a node just reached if it is promising, or of all that are open."""
         if self.best is not None and reached:
             estimate, edge = min(((self._estimate(edge), edge) for edge in reached), key=lambda pair: pair[0])
             if estimate < self.best.cost:
                 self._followed.add(id(edge))
                 return edge
-        while self._open:
+        while True:
             known, _, edge = heapq.heappop(self._open)
             if id(edge) in self._followed:
                 self._followed.discard(id(edge))
@@ -167,7 +168,6 @@ class SequenceSearch:
                 self._push(edge)
                 continue
             return edge
-        return None
 
     @property
     def planned(self) -> int:
