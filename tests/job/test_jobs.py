@@ -163,6 +163,32 @@ def test_grasps_reach_an_object_and_its_place() -> None:
                 np.testing.assert_allclose(held.data_at(q).body(goal.name).xpos, pose_of(X)[:3, 3], atol=2e-3)
 
 
+def test_the_choices_of_one_grasp_need_no_look_at_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = JobSession(order_job(), gp.Objective(w=0.0), grasps=2).search()
+    looked_at, configuration = set(), Motions.configuration
+
+    def noted(self: Motions, state: JobState, name: str, grasp: gp.Grasp, X_WO: PoseKey) -> object:
+        looked_at.add(id(grasp))
+        return configuration(self, state, name, grasp, X_WO)
+
+    monkeypatch.setattr(Motions, "configuration", noted)
+    goal = search.goals[0]
+    groups = goal.groups(search.start, search.motions)
+    (choice,) = next(groups)
+    sampled = [id(grasp) for grasp in islice(search.motions.sampled(search.start, goal.name), 8)]
+    assert looked_at == set(sampled[: sampled.index(id(choice.grasp)) + 1])
+    assert [choice, *next(groups)] == list(islice(goal.candidates(search.start, search.motions), 2))
+
+
+def test_a_hand_that_collides_is_refused_before_straight_motions_are_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = gp.Job(_close_glasses(apart=0.065)).place("glass1", at=[0.42, 0.35, 0.4])
+    search = JobSession(job, gp.Objective(w=0.0), grasps=1).search()
+    monkeypatch.setattr(Motions, "stance", lambda *_: pytest.fail("a straight motion was planned"))
+    (first,) = search.edges(Node(state=search.start))
+    assert search.child(first) is None
+    assert "in glass2" in search.refusals["glass1"].why
+
+
 def test_an_object_that_overlaps_another_is_told() -> None:
     job = gp.Job(_close_glasses(apart=0.02)).place("glass1", at=[0.42, 0.35, 0.4])
     result = gp.plan_job(job, 0.0, grasps=1, iterations=4)

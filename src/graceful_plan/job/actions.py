@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, groupby
 from typing import ClassVar, final
 
 import numpy as np
@@ -66,6 +67,14 @@ class Action(ABC):
             motions: Plans and caches motions.
         """
 
+    def groups(self, state: JobState, motions: Motions) -> Iterator[Sequence[Hashable]]:
+        """Yield the candidates in groups with the same grasp, by default as they follow each other.
+
+        Override it if finding the first candidate of a group takes time: the default looks one candidate ahead.
+        """
+        for _, group in groupby(self.candidates(state, motions), key=_grasp_of):
+            yield list(group)
+
     @abstractmethod
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Plan the action; return its motions and the state afterwards, or why it is not possible."""
@@ -99,6 +108,11 @@ class Carry:
 
     def __hash__(self) -> int:
         return hash((id(self.grasp), self.to))
+
+
+def _grasp_of(choice: Hashable) -> int | None:
+    grasp = choice.grasp if isinstance(choice, Carry) else choice
+    return id(grasp) if isinstance(grasp, Grasp) else None
 
 
 @final
@@ -136,14 +150,16 @@ class Transport(Action):
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Carry]:
         """Yield grasps that reach the object where it is and at any of the poses."""
+        return chain.from_iterable(self.groups(state, motions))
+
+    def groups(self, state: JobState, motions: Motions) -> Iterator[Sequence[Carry]]:
+        """Yield the candidates of each grasp, without a look at the next grasp."""
         if ("joined", self.name) in state.facts or self.is_done(state):
             return
         now, here = state.loaded(self.name, self.slots), pose_key(state.pose(self.name))
         to = [X for X in self.poses(state) if X != here]
         for grasp in motions.grasps(now, self.name, to):
-            for X in to:
-                if motions.configuration(now, self.name, grasp, X) is not None:
-                    yield Carry(grasp, X)
+            yield [Carry(grasp, X) for X in to if motions.configuration(now, self.name, grasp, X) is not None]
 
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
         """Return the length of straight motions in joint space to the object and on to its place."""
@@ -193,6 +209,19 @@ class _ByTransport(Action):
     @abstractmethod
     def _transport(self, state: JobState) -> Transport:
         """Return the transport in a state."""
+
+    @abstractmethod
+    def _is_open(self, state: JobState) -> bool:
+        """Tell whether the action may come in a state."""
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield the candidates of the transport, if the action may come."""
+        return chain.from_iterable(self.groups(state, motions))
+
+    def groups(self, state: JobState, motions: Motions) -> Iterator[Sequence[Hashable]]:
+        """Yield those of each grasp."""
+        if self._is_open(state):
+            yield from self._transport(state).groups(state, motions)
 
     def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
         """Return the bound of the transport."""
@@ -276,11 +305,9 @@ class Loading(_ByTransport):
     def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, (self.slot,), "load", self.tray)
 
-    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
-        """Yield grasps."""
+    def _is_open(self, state: JobState) -> bool:
         arrived = any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
-        if not arrived and pose_key(state.pose(self.tray)) == self.start:
-            yield from self._transport(state).candidates(state, motions)
+        return not arrived and pose_key(state.pose(self.tray)) == self.start
 
 
 @final
@@ -297,10 +324,8 @@ class Hauling(_ByTransport):
     def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, self.to, "carry", slots=self.slots)
 
-    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
-        """Yield grasps and placements."""
-        if pose_key(state.pose(self.name)) == self.start and state.on(self.name, self.slots):
-            yield from self._transport(state).candidates(state, motions)
+    def _is_open(self, state: JobState) -> bool:
+        return pose_key(state.pose(self.name)) == self.start and bool(state.on(self.name, self.slots))
 
 
 @final
@@ -321,10 +346,8 @@ class Clearing(_ByTransport):
     def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, self.to, "clear")
 
-    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
-        """Yield grasps and placements."""
-        if not any(goal.name == self.name and goal.is_done(state) for goal in self.goals):
-            yield from self._transport(state).candidates(state, motions)
+    def _is_open(self, state: JobState) -> bool:
+        return not any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
 
 
 @final
@@ -339,10 +362,8 @@ class Closing(_ByTransport):
     def _transport(self, state: JobState) -> Transport:
         return Transport(self.name, (pose_key(state.pose(self.vessel) @ self.X_VL),), "close_lid")
 
-    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
-        """Yield grasps of the lid, unless the vessel is closed."""
-        if ("joined", self.name) not in state.facts:
-            yield from self._transport(state).candidates(state, motions)
+    def _is_open(self, state: JobState) -> bool:
+        return ("joined", self.name) not in state.facts
 
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Carry the lid to the vessel; both are one object afterwards."""

@@ -22,8 +22,8 @@ from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.placing import occupant
-from graceful_plan.job.still_base import reached_poses, straight_arm_motion
-from graceful_plan.judge.exact import Judge
+from graceful_plan.job.still_base import is_reached_from, reached_poses, straight_arm_motion
+from graceful_plan.judge.exact import Judge, state_contacts
 from graceful_plan.judge.verification import verify
 from graceful_plan.plan import plan
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus
@@ -196,10 +196,16 @@ class Motions:
             now = None if X_WO == here else self.configuration(state, name, grasp, here)
             near = self.q_home if now is None else now
             began = time.perf_counter()
-            alone = self._alone(state, name)
-            held = alone.holding(name, grasp, self.supports.get(name, ()))
-            found = self.reached(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
-            is_usable = len(found) > 0 and self._leaves(found[0], alone, held, name, grasp)
+            found = reached_poses(
+                PoseGoal(grasp.tool_at(pose_of(X_WO))),
+                state.scene(),
+                near,
+                count=1,
+                seed=self.seed,
+                within=lambda: self._held_alone(state, name, grasp),
+                cancelled=self.cancelled or (lambda: False),
+            )
+            is_usable = len(found) > 0 and self._leaves(found[0], state, name, grasp, X_WO)
             self._known[key] = found[0] if is_usable else None
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
@@ -213,33 +219,47 @@ class Motions:
             self._known[key] = (
                 Refusal(name=name, why=f"no configuration holds {name!r} there by this grasp")
                 if q is None
-                else self._made(state, name, grasp, q)
+                else self._made(state, name, grasp, X_WO, q)
             )
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
 
-    def _leaves(self, q: Float[Array, " nq"], alone: JobState, held: Scene, name: str, grasp: Grasp) -> bool:
+    def _leaves(self, q: Float[Array, " nq"], state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> bool:
         """Tell whether the arm reaches the ends of the straight motions from a configuration that holds an object."""
-        if not any(len(self.reached(above, held, q)) for above in _lifts(q, held)):
+        held, X_WT = self._held_alone(state, name, grasp), grasp.tool_at(pose_of(X_WO))
+        if not any(self._is_reached_from(q, above, state, held) for above in _lifts(X_WT)):
             return False
-        away, opened = _away(q, alone, held, name, grasp)
-        return away is None or len(self.reached(away, opened, q)) > 0
+        away = _away(X_WT, grasp)
+        return away is None or self._is_reached_from(q, away, state, self._let_go(state, name, grasp))
 
-    def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
-        alone = self._alone(state, name)
-        held = alone.holding(name, grasp, self.supports.get(name, ()))
+    def _is_reached_from(self, q: Float[Array, " nq"], goal: PoseGoal, state: JobState, scene: Scene) -> bool:
+        return is_reached_from(q, goal, state.scene(), lambda: scene, seed=self.seed)
+
+    def _held_alone(self, state: JobState, name: str, grasp: Grasp) -> Scene:
+        """Return the scene with an object in the gripper, without everything else that the job may move."""
+        return self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
+
+    def _let_go(self, state: JobState, name: str, grasp: Grasp) -> Scene:
+        """Return the scene of a retreat, without the object from which the gripper retreats."""
+        return self._alone(state, name).parked((name,)).scene(grasp.opening)
+
+    def _made(
+        self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey, q: Float[Array, " nq"]
+    ) -> Stance | Refusal:
+        held, X_WT = self._held_alone(state, name, grasp), grasp.tool_at(pose_of(X_WO))
         up, why = None, ""
-        for above in _lifts(q, held):
-            if len(self.reached(above, held, q)):
+        for above in _lifts(X_WT):
+            if self._is_reached_from(q, above, state, held):
                 result = straight_arm_motion(q, above, held, objective=self.objective, speed=self.speed)
                 up, why = result.trajectory, result.detail
                 if result.status is PlanStatus.SOLVED and up is not None:
                     break
         else:
             return Refusal(name=name, why=f"{name!r} cannot be lifted there by this grasp: {why}")
-        away, opened = _away(q, alone, held, name, grasp)
+        away = _away(X_WT, grasp)
         if away is None:
             return _stance(q, up, up)
+        opened = self._let_go(state, name, grasp)
         back = straight_arm_motion(q, away, opened, objective=self.objective, speed=self.speed)
         if back.status is not PlanStatus.SOLVED:
             return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
@@ -389,8 +409,25 @@ class Motions:
         return sum(piece.cost.total for piece in made.values()) + lines, last.retreat.q[-1]
 
     def _ends(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> tuple[Stance, Stance] | Refusal:
-        """Return the stances where an object is and where it goes."""
-        first = self.stance(state, name, grasp, pose_key(state.pose(name)))
+        """Return the stances where an object is and where it goes, unless the hand collides in one of them."""
+        if (other := occupant(state.scene(), name, pose_of(X_WO))) is not None:
+            why = f"{name!r}: its place is taken by {other!r}"
+            return Refusal(name=name, why=why, blockers=frozenset({other}), by_any_grasp=True)
+        here, moved = pose_key(state.pose(name)), state.moved(name, pose_of(X_WO))
+        held = state.holding(name, grasp, self.supports.get(name, ()))
+        for label, scene, X in (
+            ("approach", state.scene(grasp.opening), here),
+            ("lift", held, here),
+            ("lower", held, X_WO),
+            ("retreat", moved.scene(grasp.opening), X_WO),
+        ):
+            q = self.configuration(state, name, grasp, X)
+            # Before the straight motions from there, which take a hundred times as long.
+            if q is not None and (contacts := state_contacts(q, scene)):
+                mine, _, depth, obstacle = contacts[0]
+                why = f"{label} of {name!r}: collision: {mine} is {1e3 * depth:.3g} mm in {obstacle}"
+                return Refusal(name=name, why=why, blockers=self._blockers(scene, q[None]))
+        first = self.stance(state, name, grasp, here)
         if isinstance(first, Refusal):
             return first
         last = self.stance(state, name, grasp, X_WO)
@@ -403,9 +440,6 @@ class Motions:
         first, last = ends
         opened, held = state.scene(grasp.opening), state.holding(name, grasp, self.supports.get(name, ()))
         free = state.moved(name, pose_of(X_WO)).scene(grasp.opening)
-        if (other := occupant(state.scene(), name, pose_of(X_WO))) is not None:
-            why = f"{name!r}: its place is taken by {other!r}"
-            return Refusal(name=name, why=why, blockers=frozenset({other}), by_any_grasp=True)
         made = {}
         for label, scene, trajectory in (
             ("approach", opened, first.approach),
@@ -431,21 +465,21 @@ class Motions:
         return frozenset(name for name, body in mine.items() if body in met and name != held)
 
 
-def _lifts(q: Float[Array, " nq"], held: Scene) -> list[PoseGoal]:
-    """Return the tool poses to which an object may be lifted, the most wanted first."""
-    return [PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height]) for height in _LIFTS]
+def _lifts(X_WT: Float[Array, "4 4"]) -> list[PoseGoal]:
+    """Return the tool poses to which an object may be lifted from one, the most wanted first."""
+    return [PoseGoal(_shifted(X_WT, np.array([0.0, 0.0, height]))) for height in _LIFTS]
 
 
-def _away(
-    q: Float[Array, " nq"], alone: JobState, held: Scene, name: str, grasp: Grasp
-) -> tuple[PoseGoal | None, Scene]:
-    """Return where the open gripper retreats, None if straight up as it lifts, and the scene of the retreat."""
-    opened = alone.parked((name,)).scene(grasp.opening)
-    X_WT = PoseGoal.from_tool(q, held).X_WT
+def _away(X_WT: Float[Array, "4 4"], grasp: Grasp) -> PoseGoal | None:
+    """Return where the open gripper retreats from a grasp; None if straight up, as it lifts."""
     way = X_WT[:3, :3] @ np.asarray(grasp.X_TO)[:3, :3] @ np.asarray(grasp.approach)
-    if way[2] < _STRAIGHT_DOWN:
-        return None, opened
-    return PoseGoal.from_tool(q, opened, translation=-_BACK * way), opened
+    return None if way[2] < _STRAIGHT_DOWN else PoseGoal(_shifted(X_WT, -_BACK * way))
+
+
+def _shifted(X: Float[Array, "4 4"], by: Float[Array, " xyz"]) -> Float[Array, "4 4"]:
+    X = X.copy()
+    X[:3, 3] += by
+    return X
 
 
 def _stance(q: Float[Array, " nq"], lift: Trajectory, back: Trajectory) -> Stance:

@@ -23,12 +23,11 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby, islice
+from itertools import islice
 
 import numpy as np
 
 from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
-from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 
@@ -131,10 +130,10 @@ class SequenceSearch:
         """Search until all sequences are compared, or `over` returns True, given the number of planned edges."""
         seen: dict[object, float] = {}
         reached = self._expand(Node(state=self.start), seen, improved)
-        while (edge := self._next(reached)) is not None:
-            if over(self.planned):
-                self._push(edge)
+        while len(self._open) > len(self._followed):
+            if over(self.planned):  # before the estimates of the next edge, which may take time
                 return
+            edge = self._next(reached)
             reached = []
             node = None
             if self._may_pay(edge):
@@ -145,20 +144,21 @@ class SequenceSearch:
                 if waits := self._waits(edge.node, node):
                     self._start(edge.node, waits)
                 reached = self._expand(node, seen, improved)
+        self._open.clear()
         self.exhausted = True
 
     def _may_pay(self, edge: Edge) -> bool:
         """Tell whether an edge may lead to a cheaper sequence."""
         return self.best is None or self.least(edge) < self.best.cost
 
-    def _next(self, reached: Sequence[Edge]) -> Edge | None:
+    def _next(self, reached: Sequence[Edge]) -> Edge:
         """Return the edge to plan next: the best of a node just reached if it is promising, or of all that are open."""
         if self.best is not None and reached:
             estimate, edge = min(((self._estimate(edge), edge) for edge in reached), key=lambda pair: pair[0])
             if estimate < self.best.cost:
                 self._followed.add(id(edge))
                 return edge
-        while self._open:
+        while True:
             known, _, edge = heapq.heappop(self._open)
             if id(edge) in self._followed:
                 self._followed.discard(id(edge))
@@ -168,7 +168,6 @@ class SequenceSearch:
                 self._push(edge)
                 continue
             return edge
-        return None
 
     @property
     def planned(self) -> int:
@@ -240,9 +239,7 @@ class SequenceSearch:
         for action in actions:
             if not self._in_order(node.state, action):
                 continue
-            others = Alternatives(
-                groups=_by_grasp(action.candidates(node.state, self.motions)), owed=self.motions.n_grasps
-            )
+            others = Alternatives(groups=action.groups(node.state, self.motions), owed=self.motions.n_grasps)
             yield self._drawn(node, action, others, grasps)
 
     def _drawn(self, node: Node, action: Action, others: Alternatives, grasps: int) -> Sequence[Edge]:
@@ -277,8 +274,8 @@ class SequenceSearch:
             if self.best is None or node.cost < self.best.cost:
                 first = self.best is None
                 self.best = node
-                if first:  # from now on the most promising edge comes first, not the deepest
-                    self._open = [(self._estimate(edge), k, edge) for _, k, edge in self._open]
+                if first:  # from now on the most promising edge comes first, not the deepest; estimates only grow
+                    self._open = [(edge.node.cost + edge.bound, k, edge) for _, k, edge in self._open]
                     heapq.heapify(self._open)
                 improved(node)
             return []
@@ -350,7 +347,7 @@ class SequenceSearch:
             if self._is_changeable(goal):
                 found[goal.name] = 0.0  # a tray, for example, may bring both close together
             else:
-                groups = islice(_by_grasp(goal.candidates(state, self.motions)), self.motions.n_grasps)
+                groups = islice(goal.groups(state, self.motions), self.motions.n_grasps)
                 ends = (goal.ends(state, choice, self.motions) for group in groups for choice in group)
                 # Without a candidate, it may be possible after a regrasp.
                 found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
@@ -407,14 +404,3 @@ class SequenceSearch:
             return id(edge.action), edge.choice
         here, protection = pose_key(edge.node.state.pose(edge.action.name)), self._protection(edge.node.state)
         return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, protection
-
-
-def _by_grasp(choices: Iterator[Hashable]) -> Iterator[Sequence[Hashable]]:
-    """Yield groups of choices with the same grasp; those without a grasp are one group."""
-    for _, group in groupby(choices, key=_grasp_of):
-        yield list(group)
-
-
-def _grasp_of(choice: Hashable) -> int | None:
-    grasp = choice.grasp if isinstance(choice, Carry) else choice
-    return id(grasp) if isinstance(grasp, Grasp) else None

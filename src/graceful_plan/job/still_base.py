@@ -12,12 +12,13 @@ from itertools import islice
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import Objective, evaluate
+from graceful_plan.judge.exact import exactly_free
 from graceful_plan.path import Path
 from graceful_plan.query.cartesian.straight import plan_cartesian
 from graceful_plan.query.endpoints.base_goals import base_goals
-from graceful_plan.query.endpoints.ik import solve_ik
+from graceful_plan.query.endpoints.ik import FreeTest, solve_ik
 from graceful_plan.query.endpoints.pose_solver import PoseSolver
 from graceful_plan.query.endpoints.usable import free_of_collision
 from graceful_plan.result import PlanResult
@@ -63,35 +64,66 @@ def reached_poses(
     *,
     count: int,
     seed: int,
+    within: Callable[[], Scene] | None = None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Float[Array, "n nq"]:
     """Return configurations free of collision that bring the tool to a pose, the nearest first; possibly none.
 
     A base stays where it is if the arm reaches the pose from there. Otherwise it goes to places from which the arm
     reaches a pose above this one.
+
+    Args:
+        goal: The pose.
+        scene: Scene with the robot.
+        near: Configuration near which others are sought.
+        count: Number of configurations that is enough.
+        seed: Seed of the random numbers.
+        within: Returns another scene with the same robot in which the configurations have to be free. It is made only
+            for poses within reach, and not compiled for an arm without a base.
+        cancelled: Polled during the search.
     """
-    free = partial(free_of_collision, scene=scene)
-    bases = base_goals(scene)
-    if bases is None:
+
+    def free(q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        return free_of_collision(q, scene) if within is None else exactly_free(q, within())
+
+    if base_joints(scene) == 0:
         return solve_ik(goal, scene, near, free=free, count=count, rounds=2, seed=seed).q
-    if len(found := _by_arm(goal, scene, near, seed)):
-        return found[:count]
+    if len(found := _by_arm(goal, scene, near, free, count, seed)):
+        return found
+    inside = scene if within is None else within()
+    bases = base_goals(inside)
+    assert bases is not None
     above = goal.X_WT.copy()
     above[2, 3] += _RAISED
-    places = bases.reaching(replace(goal, X_WT=above), scene, near, free=free, seed=seed, cancelled=cancelled).q
-    arms = (row for q in places for row in _by_arm(goal, scene, q, seed)[:1])
+    untouched = partial(free_of_collision, scene=inside)
+    raised = replace(goal, X_WT=above)
+    places = bases.reaching(raised, inside, near, free=untouched, seed=seed, cancelled=cancelled).q
+    arms = (row for q in places for row in _by_arm(goal, scene, q, free, 1, seed))
     return np.array(list(islice(arms, count))).reshape(-1, len(near))
 
 
-def _by_arm(goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], seed: int) -> Float[Array, "n nq"]:
+def is_reached_from(
+    q: Float[Array, " nq"], goal: PoseGoal, scene: Scene, within: Callable[[], Scene], *, seed: int
+) -> bool:
+    """Tell whether the arm reaches a pose from a configuration near it; for the arguments see `reached_poses`."""
+    found, _ = PoseSolver(goal, scene).search(q[None], _ITERATIONS, slice(0, base_joints(scene)))
+    if len(found) and exactly_free(found, within())[0]:
+        return True
+    return len(reached_poses(goal, scene, q, count=1, seed=seed, within=within)) > 0
+
+
+def _by_arm(
+    goal: PoseGoal, scene: Scene, near: Float[Array, " nq"], free: FreeTest, count: int, seed: int
+) -> Float[Array, "n nq"]:
     """Return configurations with the base as in one, the nearest to it first."""
     n, rng = base_joints(scene), np.random.default_rng(seed)
     seeds = np.tile(near, (_SEEDS, 1))
     seeds[1:, n:] += rng.normal(0.0, _SPREAD, (_SEEDS - 1, len(near) - n))
     lower, upper = scene.limits.position.T
     found, _ = PoseSolver(goal, scene).search(np.clip(seeds, lower, upper), _ITERATIONS, slice(0, n))
-    found = found[free_of_collision(found, scene)] if len(found) else found
-    return found[np.argsort(np.linalg.norm(found - near, axis=1), kind="stable")]
+    found = found[np.argsort(np.linalg.norm(found - near, axis=1), kind="stable")]
+    usable = (row for row in found if free(row[None])[0])
+    return np.array(list(islice(usable, count))).reshape(-1, len(near))
 
 
 def with_base(motion: Trajectory, scene: Scene, q: Float[Array, " nq"]) -> Trajectory:

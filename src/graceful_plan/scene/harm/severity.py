@@ -95,12 +95,14 @@ class SeverityTable(YamlTable):
         return row[component]
 
     def with_overrides(self, overrides: Mapping[str, float | Mapping[str, float]]) -> SeverityTable:
-        """Return a copy of the table with some values replaced.
+        """Return the table with some values replaced.
 
         Args:
             overrides: By entity class, one number for all component classes or numbers by component class. New classes
                 are added.
         """
+        if not overrides:
+            return self  # the table cannot change, and is long to check
         rows = {category: dict(row) for category, row in self.rows.items()}
         for category, values in overrides.items():
             if not isinstance(values, Mapping):
