@@ -27,9 +27,13 @@ allow:
 """
 
 
-def written(folder: Path, text: str) -> Path:
-    for name in ("lid.xml", "lid.yaml"):
-        shutil.copy(JOBS / name, folder / name)
+SCENES = ROOT / "tests" / "support" / "scenes"
+
+
+def written(folder: Path, text: str, scene: Path = JOBS / "lid") -> Path:
+    """Write a job file beside a copy of its scene."""
+    for ending in (".xml", ".yaml"):
+        shutil.copy(scene.with_suffix(ending), folder)
     file = folder / "task.yaml"
     file.write_text(text)
     return file
@@ -55,29 +59,24 @@ def test_a_bundled_scene_is_named(tmp_path: Path) -> None:
 
 
 def test_a_file_pours(tmp_path: Path) -> None:
-    for name in ("pour.xml", "pour.yaml"):
-        shutil.copy(ROOT / "tests" / "support" / "scenes" / name, tmp_path / name)
-    file = tmp_path / "task.yaml"
-    file.write_text(
+    text = (
         "version: 1\nscene: pour.yaml\ngoals: {kettle: {onto: table}}\nallow: [{pour: kettle, into: pot, fill: 0.3}]\n"
     )
-    (pour,) = gp.load_job(file).allowed
+    (pour,) = gp.load_job(written(tmp_path, text, SCENES / "pour")).allowed
     assert isinstance(pour, gp.Pour) and (pour.name, pour.into, pour.fill) == ("kettle", "pot", 0.3)
 
 
 def test_a_file_opens_and_closes_a_drawer(tmp_path: Path) -> None:
-    for name in ("drawer.xml", "drawer.yaml"):
-        shutil.copy(ROOT / "tests" / "support" / "scenes" / name, tmp_path / name)
-    file = tmp_path / "task.yaml"
-    file.write_text(
+    text = (
         "version: 1\nscene: drawer.yaml\ngoals: {mug: {onto: table}}\nallow:\n"
         "  - {open: drawer, handle: drawer_handle, to: 0.2}\n"
         "  - {close: drawer, handle: drawer_handle, required: true}\n"
     )
+    file = written(tmp_path, text, SCENES / "drawer")
     opening, closing = gp.load_job(file).allowed
     assert isinstance(opening, gp.Open) and (opening.name, opening.to, opening.required) == ("drawer", 0.2, False)
     assert isinstance(closing, gp.Close) and (closing.handle, closing.required) == ("drawer_handle", True)
-    file.write_text(file.read_text().replace("0.2", "0.9"))
+    file.write_text(text.replace("0.2", "0.9"))
     with pytest.raises(SceneError, match="range") as raised:
         gp.load_job(file)
     assert "task.yaml:5: " in str(raised.value)
