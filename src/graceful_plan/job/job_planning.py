@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -338,11 +338,16 @@ class JobSession:
                 break
             seconds = left / (len(free) - done)
             motions[k] = self._choices.motions.better(motions[k], seconds, None if iterations is None else _IMPROVING)
-        w = self._objective.w
-        return tuple(
-            Step(kind=kind, name=name, pieces=tuple(motions), cost=added([motion.cost for motion in motions], w))
-            for kind, name, motions in flat
-        )
+        worlds = [self._state, *(deed.state for deed in node.deeds)]
+        states = [before for before, deed in zip(worlds, node.deeds, strict=False) for _ in deed.steps]
+        clock, steps = self._state.clock, []
+        for (kind, name, motions), before in zip(flat, states, strict=True):
+            # Improved motions take longer or shorter, so that moving entities are elsewhere in those that follow.
+            pieces = self._choices.motions.in_time(replace(before, clock=clock), motions)
+            clock += sum(piece.trajectory.duration for piece in pieces)
+            cost = added([piece.cost for piece in pieces], self._objective.w)
+            steps.append(Step(kind=kind, name=name, pieces=tuple(pieces), cost=cost))
+        return tuple(steps)
 
     def _is_open(self, piece: JobMotion) -> bool:
         """Tell whether a motion may be better by another route: it is planned and no straight one without harm."""

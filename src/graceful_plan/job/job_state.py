@@ -104,6 +104,13 @@ class JobState:
         """Return a scene with its moving entities where they are at the time of this state."""
         return _later(scene, self.moved_for) if self.moved_for else scene
 
+    def timed(self, scene: Scene) -> Scene:
+        """Return a scene of this world at another time with its moving entities where they are now."""
+        now = [entity.later(-self.moved_for) for name, entity in self.world.moving.items() if name in scene.moving]
+        if all(np.allclose(entity.t, scene.moving[entity.name].t, rtol=0.0, atol=SAME) for entity in now):
+            return scene
+        return scene.with_moving(*now)
+
     def moved(self, name: str, X_WO: Float[Array, "4 4"]) -> JobState:
         """Return the state with a body elsewhere."""
         return replace(self, where=MappingProxyType({**self.where, name: pose_key(X_WO)}))

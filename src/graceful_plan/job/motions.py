@@ -380,19 +380,38 @@ class Motions:
         if isinstance(made, Refusal):
             return made
         first, last = ends
-        held = state.holding(name, grasp, self.supports.get(name, ()))
-        for label, scene, start, goal in (
-            ("transit", state.scene(), state.q, first.retreat.q[-1]),
-            ("carry", held, first.lift.q[-1], last.lift.q[-1]),
-        ):
-            piece = self.planned(label, name, scene, start, goal)
-            if isinstance(piece, Refusal):
-                return piece
-            made[label] = piece
+        transit = self.planned("transit", name, state.scene(), state.q, first.retreat.q[-1])
+        if isinstance(transit, Refusal):
+            return transit
+        made["transit"] = transit
+        until = sum(made[label].trajectory.duration for label in ("transit", "approach", "grip", "lift"))
+        held = state.after(first.lift.q[-1], until).holding(name, grasp, self.supports.get(name, ()))
+        carry = self.planned("carry", name, held, first.lift.q[-1], last.lift.q[-1])
+        if isinstance(carry, Refusal):
+            return carry
+        made["carry"] = carry
         before = [made[label] for label in ("transit", "approach", "grip", "lift")]
         after = [made[label] for label in ("carry", "lower", "release", "retreat")]
         seconds = sum(piece.trajectory.duration for piece in (*before, *after))
         return before, after, state.moved(name, pose_of(X_WO)).after(last.retreat.q[-1], seconds)
+
+    def in_time(self, state: JobState, pieces: Iterable[JobMotion]) -> list[JobMotion]:
+        """Return pieces with moving entities where they are at the start of each piece, and its cost then.
+
+        Args:
+            state: The state in which the first piece begins.
+            pieces: Pieces one after the other, in scenes of any time.
+        """
+        found = []
+        for piece in pieces:
+            scene = state.timed(piece.scene)
+            if scene is not piece.scene:
+                cost = evaluate(piece.trajectory, scene, self.objective)
+                # The cost of motion may contain the price of a wait.
+                piece = replace(piece, scene=scene, cost=replace(cost, motion=piece.cost.motion))
+            found.append(piece)
+            state = state.after(state.q, piece.trajectory.duration)
+        return found
 
     def unavoidable(
         self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey

@@ -22,8 +22,8 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import islice
+from dataclasses import dataclass, field, replace
+from itertools import groupby, islice
 
 import numpy as np
 
@@ -208,11 +208,20 @@ class SequenceSearch:
             self.refusals[deed.name] = deed
             self.unsure = self.unsure or deed.unsure
             return None
+        deed = self._in_time(edge.node.state, deed)
         pieces = [piece for _, _, some in deed.steps for piece in some]
         seconds = sum(piece.trajectory.duration for piece in pieces)
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         self._learn(edge, pieces, cost)
         return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
+
+    def _in_time(self, state: JobState, deed: Deed) -> Deed:
+        """Return a deed with moving entities where they are at the start of each of its pieces."""
+        steps = []
+        for kind, name, pieces in deed.steps:
+            steps.append((kind, name, self.motions.in_time(state, pieces)))
+            state = state.after(state.q, sum(piece.trajectory.duration for piece in pieces))
+        return replace(deed, steps=steps)
 
     def _learn(self, edge: Edge, pieces: Sequence[JobMotion], cost: float) -> None:
         """Remember what the estimates of other edges need."""
