@@ -8,8 +8,9 @@ time of the job. Errors of one motion are not carried over to the next: each sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from failbench.basics.statistics import Estimate
 from failbench.fault.fault import Fault
@@ -51,6 +52,33 @@ class JobValidation:
     starts: tuple[float, ...]
     motions: tuple[ValidatedMotion, ...]
     duration: float
+
+    @property
+    def predicted_by_step(self) -> tuple[float, ...]:
+        """Predicted part of each step in the expected harm of failures per executed job."""
+        return tuple(
+            sum((one.report.predicted_per_task for one in self.motions if one.step == k), 0.0)
+            for k in range(len(self.steps))
+        )
+
+    @property
+    def by_entity(self) -> Mapping[str, Estimate]:
+        """Part of each entity in the harm of failures per executed job, without harm before a failure."""
+        parts: dict[str, list[Estimate]] = {}
+        for one in self.motions:
+            for name, entity in one.report.by_entity.items():
+                parts.setdefault(name, []).append(entity.impact.scaled(one.report.failures_per_task))
+        return {name: _sum(some) for name, some in parts.items()}
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the validation as a document of plain values, for `graceful_plan.viz.job_page`."""
+        return {
+            "observed": asdict(self.observed),
+            "by_step": [asdict(part) for part in self.by_step],
+            "predicted_by_step": list(self.predicted_by_step),
+            "by_entity": {name: asdict(part) for name, part in self.by_entity.items()},
+            "duration": self.duration,
+        }
 
     def __str__(self) -> str:
         """Return the timeline: start, name and harm of each step, with a bar for its share of the harm."""

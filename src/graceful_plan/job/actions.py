@@ -52,6 +52,8 @@ class Action(ABC):
 
     name: str
     """The object that it is about."""
+    kind: str = ""
+    """What is done, as in the kinds of steps; if empty, the name of the class in lower case."""
 
     @property
     def moves(self) -> tuple[str, ...]:
@@ -123,14 +125,14 @@ class Transport(Action):
     Args:
         name: The object.
         to: Poses to choose from.
-        verb: Name of the second step: "place", "clear", "close_lid", "load" or "carry".
+        kind: Name of the second step: "place", "clear", "close_lid", "load" or "carry".
         onto: Body to which the poses are relative, and which may move during the job; None for poses in W.
         slots: Pose of each object that may stand on this one and is carried with it, relative to it.
     """
 
     name: str
     to: tuple[PoseKey, ...]
-    verb: str = "place"
+    kind: str = "place"
     onto: str | None = None
     slots: Mapping[str, PoseKey] = field(default_factory=dict)
 
@@ -182,7 +184,7 @@ class Transport(Action):
             return found
         before, after, then = found
         arrived = self._arrived(state, choice.to).after(then.q, then.clock - state.clock)
-        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=arrived)
+        return Deed(steps=[("pick", self.name, before), (self.kind, self.name, after)], state=arrived)
 
     def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
         """Return the cost of the straight motions at both ends and of straight lines in joint space between them."""
@@ -301,9 +303,10 @@ class Loading(_ByTransport):
     start: PoseKey
     """Pose of the tray before it is carried."""
     goals: Sequence[Transport]
+    kind: str = field(default="load", init=False)
 
     def _transport(self, state: JobState) -> Transport:
-        return Transport(self.name, (self.slot,), "load", self.tray)
+        return Transport(self.name, (self.slot,), self.kind, self.tray)
 
     def _is_open(self, state: JobState) -> bool:
         arrived = any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
@@ -320,9 +323,10 @@ class Hauling(_ByTransport):
     slots: Mapping[str, PoseKey]
     start: PoseKey
     """Pose of the tray before it is carried."""
+    kind: str = field(default="carry", init=False)
 
     def _transport(self, state: JobState) -> Transport:
-        return Transport(self.name, self.to, "carry", slots=self.slots)
+        return Transport(self.name, self.to, self.kind, slots=self.slots)
 
     def _is_open(self, state: JobState) -> bool:
         return pose_key(state.pose(self.name)) == self.start and bool(state.on(self.name, self.slots))
@@ -342,9 +346,10 @@ class Clearing(_ByTransport):
     name: str
     to: tuple[PoseKey, ...]
     goals: Sequence[Transport]
+    kind: str = field(default="clear", init=False)
 
     def _transport(self, state: JobState) -> Transport:
-        return Transport(self.name, self.to, "clear")
+        return Transport(self.name, self.to, self.kind)
 
     def _is_open(self, state: JobState) -> bool:
         return not any(goal.name == self.name and goal.is_done(state) for goal in self.goals)
@@ -358,9 +363,10 @@ class Closing(_ByTransport):
     name: str
     vessel: str
     X_VL: Float[Array, "4 4"]
+    kind: str = field(default="close_lid", init=False)
 
     def _transport(self, state: JobState) -> Transport:
-        return Transport(self.name, (pose_key(state.pose(self.vessel) @ self.X_VL),), "close_lid")
+        return Transport(self.name, (pose_key(state.pose(self.vessel) @ self.X_VL),), self.kind)
 
     def _is_open(self, state: JobState) -> bool:
         return ("joined", self.name) not in state.facts

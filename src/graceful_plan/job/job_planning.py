@@ -21,8 +21,9 @@ from graceful_plan.job.jobs import Job, Where
 from graceful_plan.job.motions import JobMotion, Motions, added
 from graceful_plan.job.opening import opened_for
 from graceful_plan.job.placing import lid_pose, placements, support_of
-from graceful_plan.job.reasons import reasons
-from graceful_plan.job.search import Node, SequenceSearch
+from graceful_plan.job.reasons import reasons, unreachable
+from graceful_plan.job.rejected import ChosenSequence, Rejected
+from graceful_plan.job.search import Node, SequenceSearch, deeds_cost
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.arguments import (
     checked_cancelled,
@@ -115,6 +116,15 @@ class _Choices:
     motions: Motions
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Improved:
+    """A complete sequence with improved motions."""
+
+    node: Node
+    steps: tuple[Step, ...]
+    cost: CostBreakdown
+
+
 @final
 class JobSession:
     """The choices of a job, sampled once, with all planned motions."""
@@ -157,7 +167,7 @@ class JobSession:
 
         def improved(node: Node) -> None:
             motions.hurried = False
-            cost = _cost(node, self._objective.w)
+            cost = deeds_cost(node.deeds, self._objective.w)
             trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
 
         def late(share: float) -> bool:
@@ -172,23 +182,30 @@ class JobSession:
             status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
             if budget.cancelled():
                 status = JobStatus.CANCELLED
-            why = reasons(search)
-            return JobResult(status=status, detail=why, stats=_stats(search, budget), again=self.answer)
+            return JobResult(
+                status=status,
+                detail=reasons(search),
+                rejected=_rejected(search),
+                stats=_stats(search, budget),
+                again=self.answer,
+            )
         bound = sequence_bound(
             search,
             lambda looked: (
                 budget.cancelled() or late(_BOUNDED) or (iterations is not None and looked >= _LOOKED * iterations)
             ),
         )
-        steps, cost = self._improved(search, budget, iterations)
+        chosen, *others = self._improved(search, budget, iterations)
+        cost = chosen.cost
         trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
         return JobResult(
             status=JobStatus.SOLVED,
-            steps=steps,
+            steps=chosen.steps,
             cost=cost,
             lower_bound=min(cost.total, bound),
             exhaustive=search.exhausted and not search.unsure,
             trace=tuple(trace),
+            rejected=_rejected(search, chosen, others),
             stats=_stats(search, budget),
             again=self.answer,
         )
@@ -309,10 +326,8 @@ class JobSession:
         under = {support_of(self._state.moved(name, pose_of(X)).scene(), name) for X in to}
         return {body for body in under if body is not None}
 
-    def _improved(
-        self, search: SequenceSearch, budget: Budget, iterations: int | None
-    ) -> tuple[tuple[Step, ...], CostBreakdown]:
-        """Improve the motions of the best sequences in the time that is left; return the best then.
+    def _improved(self, search: SequenceSearch, budget: Budget, iterations: int | None) -> list[_Improved]:
+        """Improve the motions of the best sequences in the time that is left; return them, the cheapest first.
 
         The search compares first motions; of sequences that are nearly as good, another one may be the best at the
         end.
@@ -324,8 +339,9 @@ class JobSession:
         for k, node in enumerate(contenders[:_CONTENDERS]):
             share = (budget.time_limit - budget.elapsed) / (min(len(contenders), _CONTENDERS) - k)
             steps = self._better(node, budget, budget.elapsed + share, iterations)
-            found.append((steps, added([step.cost for step in steps], self._objective.w)))
-        return min(found, key=lambda one: one[1].total)
+            cost = added([step.cost for step in steps], self._objective.w)
+            found.append(_Improved(node=node, steps=steps, cost=cost))
+        return sorted(found, key=lambda one: one.cost.total)
 
     def _better(self, node: Node, budget: Budget, end: float, iterations: int | None) -> tuple[Step, ...]:
         """Plan the motions of a sequence again, the costliest first, until a time of the budget's clock [s]."""
@@ -362,8 +378,17 @@ def _stats(search: SequenceSearch, budget: Budget) -> dict[str, float]:
     return {**parts, "search": rest, "total_time": total, "actions": float(search.planned)}
 
 
-def _cost(node: Node, w: float) -> CostBreakdown:
-    return added([p.cost for deed in node.deeds for _, _, pieces in deed.steps for p in pieces], w)
+def _rejected(
+    search: SequenceSearch, chosen: _Improved | None = None, others: Sequence[_Improved] = ()
+) -> tuple[Rejected, ...]:
+    """Return the alternatives to the chosen sequence, last the goals that no first action meets."""
+    left = ((edge.actions, bound) for edge, bound in search.open_edges())
+    if chosen is None or search.best is None:
+        return (*search.record.rejected(left, None, {}), *unreachable(search))
+    first = deeds_cost(chosen.node.deeds, search.motions.objective.w)
+    result = ChosenSequence(actions=chosen.node.actions, cost=chosen.cost, first=first, best=search.best.cost)
+    improved = {other.node.actions: other.cost for other in reversed(others)}
+    return (*search.record.rejected(left, result, improved), *unreachable(search))
 
 
 def _default_start(scene: Scene) -> Configuration:

@@ -8,6 +8,7 @@ from enum import Enum
 
 from graceful_plan.exceptions import GracefulPlanError, SettingError
 from graceful_plan.job.motions import JobMotion
+from graceful_plan.job.rejected import Rejected, change
 from graceful_plan.result import CostBreakdown, TracePoint
 
 _STAY = ("pick", "wait", "open", "close", "pour")
@@ -86,6 +87,8 @@ class JobResult:
     """Whether all sequences over the choices at hand were compared."""
     detail: str = ""
     trace: tuple[TracePoint, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
+    """Other orders and actions that the search rejected, and why: the complete ones first, the cheapest first."""
     stats: Mapping[str, float] = field(default_factory=dict)
     again: Callable[..., JobResult] | None = field(default=None, repr=False)
     """Plans the same job once more with other limits and in a given order; see `why`."""
@@ -169,12 +172,7 @@ class OrderComparison:
         asked = ", ".join(self.order)
         if self.other.status is not JobStatus.SOLVED:
             return f"order {asked}: {self.other}"
-        mine, theirs = (result.cost.impact_by_entity for result in (self.chosen, self.other))
-        more = {name: theirs.get(name, 0.0) - mine.get(name, 0.0) for name in {*mine, *theirs}}
-        worst = sorted(more, key=lambda name: -abs(more[name]))[:3]
-        told = ", ".join(f"{name} {more[name]:+.3g}" for name in worst if abs(more[name]) > 1e-3)
         return (
             f"order {asked}: cost {self.other.cost.total:.3g} instead of {self.chosen.cost.total:.3g}; "
-            f"motion {self.other.cost.motion - self.chosen.cost.motion:+.3g} rad, "
-            f"impact {self.other.cost.impact - self.chosen.cost.impact:+.3g}{f' ({told})' if told else ''}"
+            f"{change(self.other.cost, self.chosen.cost)}"
         )

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 from graceful_plan.job.actions import Transport
 from graceful_plan.job.job_state import pose_key, pose_of
+from graceful_plan.job.motions import Refusal
 from graceful_plan.job.placing import occupant
+from graceful_plan.job.rejected import Reason, Rejected
 from graceful_plan.job.search import SequenceSearch
 
 
@@ -16,6 +18,16 @@ def reasons(search: SequenceSearch) -> str:
     goals = {goal.name for goal in search.goals}
     others = [refusal.why for name, refusal in search.refusals.items() if name not in goals]
     return "; ".join([*told, *_cycle(search), *others])
+
+
+def unreachable(search: SequenceSearch) -> Iterator[Rejected]:
+    """Yield the goals that cannot be met by the first action, as alternatives; none if an order is given."""
+    for goal in search.goals if not search.order else ():
+        if goal.is_done(search.start) or next(goal.candidates(search.start, search.motions), None) is not None:
+            continue
+        if why := _reason(goal, search):
+            refusal = Refusal(name=goal.name, why=why)
+            yield Rejected(actions=((goal.kind, goal.name),), reason=Reason.REFUSED, refusal=refusal)
 
 
 def _reason(goal: Transport, search: SequenceSearch) -> str | None:

@@ -23,13 +23,15 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, islice
+from itertools import islice
 
 import numpy as np
 
 from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
+from graceful_plan.job.rejected import Actions, SearchRecord
+from graceful_plan.result import CostBreakdown
 
 _TIME_PRICE = 1e-3
 """Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
@@ -50,6 +52,7 @@ class Node:
     state: JobState
     deeds: tuple[Deed, ...] = ()
     cost: float = 0.0
+    actions: Actions = ()
 
 
 @dataclass(kw_only=True, eq=False)
@@ -82,6 +85,12 @@ class Edge:
     bound: float
     others: Alternatives
 
+    @property
+    def actions(self) -> Actions:
+        """The actions up to this one, as kinds and objects."""
+        action = self.action
+        return (*self.node.actions, (action.kind or type(action).__name__.lower(), action.name))
+
 
 @dataclass(eq=False)
 class SequenceSearch:
@@ -108,6 +117,8 @@ class SequenceSearch:
     refused: int = 0
     """Number of actions that were refused without that, and of waits."""
     refusals: dict[str, Refusal] = field(default_factory=dict)
+    record: SearchRecord = field(default_factory=SearchRecord)
+    """What became of each alternative."""
     exhausted: bool = False
     """Whether no edges are left."""
     unsure: bool = False
@@ -139,6 +150,8 @@ class SequenceSearch:
             if self._may_pay(edge):
                 node = self.child(edge)
                 edge.others.is_possible = edge.others.is_possible or node is not None
+            else:
+                self.record.bounded(edge.actions, self.least(edge))
             self._open_next(edge)
             if node is not None:
                 if waits := self._waits(edge.node, node):
@@ -182,6 +195,17 @@ class SequenceSearch:
         least = min((self.least(edge) - edge.bound * (edge.others.owed > 0) for edge in left), default=float("inf"))
         return least if self.best is None else min(least, self.best.cost)
 
+    def open_edges(self) -> Iterator[tuple[Edge, float]]:
+        """Yield edges that were not planned, with a lower bound of the cost of all sequences with each."""
+        planned = set(self._followed)
+        for _, _, first in self._open:
+            if id(first) in planned:
+                planned.discard(id(first))
+                continue
+            for edge in (first, *first.others.waiting):
+                known = edge.node.state.key in self._rests  # to find it may take long
+                yield edge, self.least(edge) if known else edge.node.cost + edge.bound
+
     def least(self, edge: Edge) -> float:
         """Return a lower bound of the cost of all sequences with an edge, over the choices that are drawn first."""
         return edge.node.cost + edge.bound + self.remaining(edge.node, but=edge.action.name)
@@ -207,13 +231,14 @@ class SequenceSearch:
             edge.others.needs_grasp = edge.others.needs_grasp or not deed.by_any_grasp
             self.refusals[deed.name] = deed
             self.unsure = self.unsure or deed.unsure
+            self.record.refused(edge.actions, deed, edge.node.cost + edge.bound)
             return None
         deed = self._in_time(edge.node.state, deed)
         pieces = [piece for _, _, some in deed.steps for piece in some]
         seconds = sum(piece.trajectory.duration for piece in pieces)
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         self._learn(edge, pieces, cost)
-        return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
+        return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost, actions=edge.actions)
 
     def _in_time(self, state: JobState, deed: Deed) -> Deed:
         """Return a deed with moving entities where they are at the start of each of its pieces."""
@@ -275,10 +300,15 @@ class SequenceSearch:
 
     def _expand(self, node: Node, seen: dict[object, float], improved: Callable[[Node], None]) -> Sequence[Edge]:
         """Open edges of a node unless its state was reached at less cost; return the edges."""
-        if node.cost >= seen.get(node.state.key, float("inf")):
+        is_complete = self.is_complete(node.state)
+        is_new = node.cost < seen.get(node.state.key, float("inf"))
+        self.record.reached(
+            node.actions, deeds_cost(node.deeds, self.motions.objective.w), is_complete=is_complete, is_new=is_new
+        )
+        if not is_new:
             return []
         seen[node.state.key] = node.cost
-        if self.is_complete(node.state):
+        if is_complete:
             self.complete.append(node)
             if self.best is None or node.cost < self.best.cost:
                 first = self.best is None
@@ -413,3 +443,8 @@ class SequenceSearch:
             return id(edge.action), edge.choice
         here, protection = pose_key(edge.node.state.pose(edge.action.name)), self._protection(edge.node.state)
         return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, protection
+
+
+def deeds_cost(deeds: Sequence[Deed], w: float) -> CostBreakdown:
+    """Return the total cost of some deeds."""
+    return added([piece.cost for deed in deeds for _, _, pieces in deed.steps for piece in pieces], w)

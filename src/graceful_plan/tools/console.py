@@ -154,7 +154,9 @@ def check_file(file: FilePath | None, endings: Sequence[str]) -> None:
         return
     if file.suffix not in endings:
         *others, last = endings
-        raise SettingError("output", str(file), f"a file name that ends in {', '.join(others)} or {last}")
+        raise SettingError(
+            "output", str(file), f"a file name that ends in {', '.join(others)}{' or ' if others else ''}{last}"
+        )
     if file.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
     if file.parent.exists() and not file.parent.is_dir():

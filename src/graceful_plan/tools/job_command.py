@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import Any
@@ -12,7 +13,8 @@ from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.job.job_planning import DEFAULT_TIME_LIMIT
 from graceful_plan.job.job_result import JobMotion, JobResult, JobStatus
-from graceful_plan.tools.console import add_budget, add_command, budget, check_folder, show
+from graceful_plan.job.rejected import Rejected
+from graceful_plan.tools.console import add_budget, add_command, budget, check_file, check_folder, show
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tools.validation import check_failures, validate_job
@@ -26,6 +28,7 @@ def add_to(commands: Any) -> None:
     job.add_argument("--grasps", type=int, default=4, metavar="N", help="grasps of each object (default 4)")
     job.add_argument("--validate", type=int, default=0, metavar="N", help="simulate N failures during the job")
     job.add_argument("--export", type=FilePath, metavar="FOLDER", help="write job.json and a trajectory per motion")
+    job.add_argument("--output", type=FilePath, metavar="FILE", help="write a page with the timeline: FILE.html")
     add_budget(job, DEFAULT_TIME_LIMIT)
 
 
@@ -33,6 +36,7 @@ def _job(args: argparse.Namespace) -> int:
     check_failures(args.validate)
     if args.export is not None:
         check_folder(args.export)
+    check_file(args.output, (".html",))
     job = gp.load_job(args.file)
     validation = None
     with ProgressLine(args.json, "planning the job") as progress:
@@ -49,6 +53,12 @@ def _job(args: argparse.Namespace) -> int:
     text = [str(result)]
     text += ["", validation.text] if validation is not None else []
     text += ["", f"wrote {len(files)} files to {args.export}"] if files else []
+    if args.output is not None:
+        from graceful_plan.viz.job_page import write_job_page
+
+        title = f"{job.scene.notes.name}, {args.file.stem}"
+        write_job_page(result, args.output, observed=None if validation is None else validation.document, title=title)
+        text += ["", f"wrote {args.output}"]
     show(args, document, "\n".join(text))
     return DONE if solved else FAILED
 
@@ -74,7 +84,21 @@ def _document(result: JobResult) -> dict[str, Any]:
             }
             for step in result.steps
         ],
+        "rejected": [_rejected(one) for one in result.rejected],
         "seconds": dict(result.stats),
+    }
+
+
+def _rejected(one: Rejected) -> dict[str, Any]:
+    difference = one.difference
+    return {
+        "actions": [{"kind": kind, "object": name} for kind, name in one.actions],
+        "reason": one.reason.name,
+        "why": one.why,
+        "complete": one.is_complete,
+        "cost": None if one.cost is None else documents.cost_document(one.cost),
+        "difference": None if math.isnan(difference) else difference,
+        "lower_bound": one.lower_bound,
     }
 
 

@@ -86,9 +86,7 @@ def validate_job(result: JobResult, failures: int, *, seed: int) -> Validation:
         GracefulPlanError: If the healthy robot cannot execute a motion.
     """
     report = importlib.import_module("failbench").validate_job(result, n=failures, seed=seed)
-    parts = (report.observed, *report.by_step)
-    mean, *by_step = ({"mean": part.mean, "low": part.low, "high": part.high, "n": part.n} for part in parts)
-    return Validation({"observed": mean, "by_step": by_step}, str(report))
+    return Validation(report.to_document(), str(report))
 
 
 def _failbench(argv: list[str]) -> str:

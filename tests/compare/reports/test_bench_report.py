@@ -11,8 +11,8 @@ from bench_cases import PROBLEMS, all_failed, comparison, rich, solved
 from graceful_plan import compare as bench
 from graceful_plan.compare.reports import figures
 from graceful_plan.compare.reports.report import page
-from graceful_plan.compare.reports.report_style import number, percent
 from graceful_plan.compare.reports.summary import gap, gap_curve, median, quantile, shares, solved_curve, time_grid
+from graceful_plan.viz.html_page import number, percent
 from sizes import first_quick
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}

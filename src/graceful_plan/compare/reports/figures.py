@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import math
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from graceful_plan.compare.reports.summary import Summary, gap_curve, shares, solved_curve, time_grid
 from graceful_plan.compare.runs.comparison import Comparison
-from graceful_plan.viz.style import STYLE
+from graceful_plan.viz.html_page import svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,9 +23,7 @@ MARKERS = "osD^vP*X<>hp"
 BANDS = 5
 """Maximum number of planners with bands in one figure; with more, each also gets a panel."""
 _LEAST_GAP, _GREATEST_GAP = 1e-3, 10.0
-_WIDTH = 7.2
 _DOTS = 300
-_Draw = Callable[["Figure"], None]
 
 
 def look(index: int) -> dict[str, Any]:
@@ -144,27 +140,6 @@ def spread_figure(summary: Summary) -> str:
         panels[0].set_yticks(range(count), comparison.planners)
 
     return svg(draw, "spread", 0.9 + 0.3 * count)
-
-
-def svg(draw: _Draw, name: str, height: float) -> str:
-    """Return a figure as an SVG element with ids that are unique on the page."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context({**STYLE, "svg.hashsalt": name, "text.parse_math": False}):
-        figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-        draw(figure)
-        out = io.StringIO()
-        figure.savefig(
-            out, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        )
-    text = out.getvalue()
-    text = text[text.index("<svg") :]
-    used = set(re.findall(r"[\"(]#([\w.-]+)", text))
-    text = re.sub(r' id="([\w.-]+)"', lambda found: found[0] if found[1] in used else "", text)
-    text = re.sub(r'(id="|["(]#)([\w.-]+)(?=[")])', rf"\1{name}-\2", text)
-    # The page sets the width.
-    return re.sub(r'^<svg[^>]*?viewBox="([^"]+)"[^>]*>', r'<svg role="img" viewBox="\1">', text, count=1).strip()
 
 
 def _gap_lines(axes: Axes, summary: Summary, planner: str, index: int, *, band: bool) -> None:

@@ -10,13 +10,13 @@ from graceful_plan import documents
 from graceful_plan.compare.reports.arena import write_arena
 from graceful_plan.compare.reports.calls import CallSummary
 from graceful_plan.compare.reports.report import write_report
-from graceful_plan.compare.reports.report_style import number, p_value, percent
 from graceful_plan.compare.reports.summary import Summary
 from graceful_plan.compare.reports.tables import write_csv, write_parquet
 from graceful_plan.compare.runs.known import write_known
 from graceful_plan.compare.runs.records import EARLY
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.formats.parquet_file import check_arrow
+from graceful_plan.viz.html_page import number, p_value, percent
 
 EXPORTS: Mapping[str, Callable[[Summary, Path], tuple[Path, ...]]] = {
     "csv": lambda summary, folder: write_csv(summary.comparison, folder),

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 
 from graceful_plan.compare.reports import figures
 from graceful_plan.compare.reports.calls import CallSummary
 from graceful_plan.compare.reports.in_space import section
-from graceful_plan.compare.reports.report_style import STYLE, number, p_value, percent
 from graceful_plan.compare.reports.statistics import CONFIDENCE, TIE, Paired
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, gap, median
 from graceful_plan.compare.runs.records import EARLY
+from graceful_plan.viz.html_page import counted, document, figure_of, note, number, p_value, percent, table_of, td
 
 NAME = "report.html"
 _SIGNIFICANT = 0.05
 _DETAILS = 40
 """Maximum number of listed outcomes other than SOLVED."""
-_DENSE = 12
-"""Number of columns above which a table is set more tightly, to fit a page of 1,300 pixels."""
 _OVERVIEW_NOTE = (
     "Medians over problems and seeds, with the worse of two middle values. Unsolved runs count as infinite (∞) in "
     "times and gaps, and are left out of the columns to the right. The best of each column is bold. Motion and "
@@ -70,24 +68,21 @@ def page(summary: Summary, space: Mapping[str, str] | None = None) -> str:
     comparison = summary.comparison
     title = f"Planners on {comparison.suite}"
     parts = [
-        f"<h1>{_text(title)}</h1>",
-        f'<p class="lead">{_text(_lead(summary))}</p>',
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="lead">{escape(_lead(summary))}</p>',
         *_headline(summary),
         *_warnings(summary),
         *(_sections(summary) if comparison.runs else ["<p>No run is done yet.</p>"]),
         *section(space),
         *_machine(summary),
     ]
-    head = f'<meta charset="utf-8"><title>{_text(title)}</title><style>{STYLE}</style>'
-    view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    body = "\n".join(parts)
-    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}{view}</head><body>\n{body}\n</body></html>\n'
+    return document(title, parts)
 
 
 def _lead(summary: Summary) -> str:
     c = summary.comparison
     counts = (
-        f"{_count(len(c.problems), 'problem')}, {_count(len(c.planners), 'planner')}, {_count(len(c.seeds), 'seed')}"
+        f"{counted(len(c.problems), 'problem')}, {counted(len(c.planners), 'planner')}, {counted(len(c.seeds), 'seed')}"
     )
     return f"{counts}; every call with time_limit = {c.seconds:g} s and w = {c.w:g}; begun {c.begun}"
 
@@ -108,7 +103,7 @@ def _headline(summary: Summary) -> Iterator[str]:
     quickest = min(ran, key=lambda planner: planner.first)
     if math.isfinite(quickest.first):
         told.append(f"First path the soonest: {quickest.planner} ({number(1e3 * quickest.first)} ms).")
-    yield f'<p class="lead"><strong>{_text(" ".join(told))}</strong></p>'
+    yield f'<p class="lead"><strong>{escape(" ".join(told))}</strong></p>'
 
 
 def _against(summary: Summary, best: str, second: str) -> str:
@@ -129,15 +124,15 @@ def _warnings(summary: Summary) -> Iterator[str]:
     late = [f"{planner.planner} {planner.late} of {planner.runs}" for planner in summary.planners if planner.late]
     if late:
         yield (
-            f'<p class="warn">Calls that returned long after their time limit: {_text(", ".join(late))}. '
+            f'<p class="warn">Calls that returned long after their time limit: {escape(", ".join(late))}. '
             "Their results had more time than the others.</p>"
         )
     unsolved = [problem for problem in c.problems if not math.isfinite(summary.best[problem])]
     if c.runs and unsolved:
-        yield f'<p class="warn">Solved by no run, so without a gap: {_text(", ".join(unsolved))}.</p>'
+        yield f'<p class="warn">Solved by no run, so without a gap: {escape(", ".join(unsolved))}.</p>'
     if c.runs and len(c.problems) < 6:
         yield (
-            f'<p class="warn">With {_count(len(c.problems), "problem")}, no test on pairs can reach p &lt; 0.05; '
+            f'<p class="warn">With {counted(len(c.problems), "problem")}, no test on pairs can reach p &lt; 0.05; '
             "differences may be due to chance. Use at least six problems, better 20.</p>"
         )
 
@@ -147,29 +142,29 @@ def _sections(summary: Summary) -> Iterator[str]:
     yield from _overview(summary)
     yield from _calls(summary.calls)
     yield "<h2>Success and time to first path</h2>"
-    yield _figure(
+    yield figure_of(
         figures.solved_figure(summary),
         "Share of runs with a path at that time. Runs without a verified result never count.",
     )
     yield "<h2>Gap to best known over time</h2>"
     many = len(summary.comparison.planners) > figures.BANDS
-    yield _figure(
+    yield figure_of(
         figures.gap_figure(summary),
         f"{_GAP_NOTE} {'' if many else _BAND_NOTE}",
     )
     if many:
-        yield _figure(
+        yield figure_of(
             figures.gap_panels(summary),
             f"The same gap for each planner, with the others in grey. {_BAND_NOTE}",
         )
     if summary.comparison.w > 0.0:
         yield "<h2>Motion and impact</h2>"
-        yield _figure(
+        yield figure_of(
             figures.share_figure(summary),
             _SHARE_NOTE,
         )
     yield "<h2>Jerk, clearance, duration</h2>"
-    yield _figure(
+    yield figure_of(
         figures.spread_figure(summary),
         _SPREAD_NOTE,
     )
@@ -209,14 +204,14 @@ def _overview(summary: Summary) -> Iterator[str]:
             percent(planner.gap),
         ]
         marked = [
-            _cell(cell, "best" if math.isclose(column[i], b, rel_tol=1e-3, abs_tol=1e-9) else "")
+            td(cell, "best" if math.isclose(column[i], b, rel_tol=1e-3, abs_tol=1e-9) else "")
             for cell, column, b in zip(cells, columns, best, strict=True)
         ]
         rest = [planner.seconds, planner.slowest, planner.motion, planner.impact, planner.jerk_peak, planner.jerk_rms]
         rest += [100.0 * planner.clearance, 100.0 * planner.closest]
-        rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(number(value)) for value in rest)])
-    yield _table(header, rows)
-    yield _note(_OVERVIEW_NOTE)
+        rows.append([td(_swatch(i) + escape(planner.planner)), *marked, *(td(number(value)) for value in rest)])
+    yield table_of(header, rows)
+    yield note(_OVERVIEW_NOTE)
 
 
 def _calls(calls: Sequence[CallSummary]) -> Iterator[str]:
@@ -226,19 +221,19 @@ def _calls(calls: Sequence[CallSummary]) -> Iterator[str]:
     header += ["over p99 [ms]", "over most [ms]", *(f"path at {1e3 * at:g} ms" for at in EARLY)]
     rows = [
         [
-            _cell(_text(row.group)),
-            _cell(_text(row.planner), "text"),
-            _cell(f"{row.solved} / {row.runs}"),
-            _cell(str(row.refused) if row.refused else "–"),
-            *(_cell(number(1e3 * t)) for t in (row.search, row.motion_wall, row.motion_cpu, row.slow)),
-            *(_cell(number(1e3 * max(t, 0.0))) for t in (row.over, row.most_over)),
-            *(_cell(number(value)) for value in row.early or [math.nan] * len(EARLY)),
+            td(escape(row.group)),
+            td(escape(row.planner), "text"),
+            td(f"{row.solved} / {row.runs}"),
+            td(str(row.refused) if row.refused else "–"),
+            *(td(number(1e3 * t)) for t in (row.search, row.motion_wall, row.motion_cpu, row.slow)),
+            *(td(number(1e3 * max(t, 0.0))) for t in (row.over, row.most_over)),
+            *(td(number(value)) for value in row.early or [math.nan] * len(EARLY)),
         ]
         for row in calls
     ]
     yield "<h2>Calls by kind of problem</h2>"
-    yield _table(header, rows)
-    yield _note(_CALLS_NOTE)
+    yield table_of(header, rows)
+    yield note(_CALLS_NOTE)
 
 
 def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:
@@ -249,22 +244,22 @@ def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:
     header += [f"{100 * CONFIDENCE:g} % interval", "p", "p (Holm)", "problems"]
     rows = [
         [
-            _cell(_text(pair.first)),
-            _cell(_text(pair.second), "text"),
-            *(_cell(str(count)) for count in (pair.wins, pair.ties, pair.losses)),
-            _cell(number(pair.ratio, 4)),
-            _cell(f"{number(pair.low, 4)} – {number(pair.high, 4)}"),
-            _cell(p_value(pair.p)),
-            _cell(p_value(pair.p_holm), "best" if pair.p_holm < _SIGNIFICANT else ""),
-            _cell(str(pair.n)),
+            td(escape(pair.first)),
+            td(escape(pair.second), "text"),
+            *(td(str(count)) for count in (pair.wins, pair.ties, pair.losses)),
+            td(number(pair.ratio, 4)),
+            td(f"{number(pair.low, 4)} – {number(pair.high, 4)}"),
+            td(p_value(pair.p)),
+            td(p_value(pair.p_holm), "best" if pair.p_holm < _SIGNIFICANT else ""),
+            td(str(pair.n)),
         ]
         for pair in pairs
     ]
     reference = [row for row, pair in zip(rows, pairs, strict=True) if pair.first == pairs[0].first]
-    yield _table(header, reference)
+    yield table_of(header, reference)
     if len(rows) > len(reference):
-        yield f"<details><summary>All {len(rows)} pairs</summary>{_table(header, rows)}</details>"
-    yield _note(_PAIRS_NOTE)
+        yield f"<details><summary>All {len(rows)} pairs</summary>{table_of(header, rows)}</details>"
+    yield note(_PAIRS_NOTE)
 
 
 def _problems(summary: Summary) -> Iterator[str]:
@@ -277,10 +272,10 @@ def _problems(summary: Summary) -> Iterator[str]:
             runs = comparison.of(planner=planner, problem=problem)
             cells.append(median([gap(run.total if run.solved else math.inf, best) for run in runs]))
         least = min((value for value in cells if math.isfinite(value)), default=math.nan)
-        marked = [_cell(percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
-        rows.append([_cell(_text(problem)), _cell(number(best, 5)), *marked])
-    yield _table(["problem", "best known", *comparison.planners], rows)
-    yield _note("Median gap of the result over seeds. Best known: from all these runs and from earlier knowledge.")
+        marked = [td(percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
+        rows.append([td(escape(problem)), td(number(best, 5)), *marked])
+    yield table_of(["problem", "best known", *comparison.planners], rows)
+    yield note("Median gap of the result over seeds. Best known: from all these runs and from earlier knowledge.")
 
 
 def _outcomes(summary: Summary) -> Iterator[str]:
@@ -289,22 +284,22 @@ def _outcomes(summary: Summary) -> Iterator[str]:
         return
     yield "<h2>Runs without a verified result</h2>"
     statuses = sorted({run.status for run in other})
-    yield _table(["planner", *statuses], [_outcome_row(i, p, statuses) for i, p in enumerate(summary.planners)])
+    yield table_of(["planner", *statuses], [_outcome_row(i, p, statuses) for i, p in enumerate(summary.planners)])
     rows = [
         [
-            _cell(_text(run.problem)),
-            *(_cell(_text(str(x)), "text") for x in (run.planner, run.seed, run.status, run.detail)),
+            td(escape(run.problem)),
+            *(td(escape(str(x)), "text") for x in (run.planner, run.seed, run.status, run.detail)),
         ]
         for run in other[:_DETAILS]
     ]
     more = f" (the first {_DETAILS} of {len(other)})" if len(other) > _DETAILS else ""
-    table = _table(["problem", "planner", "seed", "status", "detail"], rows)
+    table = table_of(["problem", "planner", "seed", "status", "detail"], rows)
     yield f"<details><summary>One by one{more}</summary>{table}</details>"
 
 
 def _outcome_row(index: int, planner: PlannerSummary, statuses: Sequence[str]) -> list[str]:
     counts = (planner.outcomes.get(status, 0) for status in statuses)
-    return [_cell(_swatch(index) + _text(planner.planner)), *(_cell(str(count) if count else "–") for count in counts)]
+    return [td(_swatch(index) + escape(planner.planner)), *(td(str(count) if count else "–") for count in counts)]
 
 
 def _machine(summary: Summary) -> Iterator[str]:
@@ -312,39 +307,8 @@ def _machine(summary: Summary) -> Iterator[str]:
     processes = c.settings.get("processes", 1)
     rows = [*c.machine.items(), ("runs at a time", str(max(1, int(processes))))]
     yield "<h2>Made on</h2>"
-    yield _table(["", ""], [[_cell(_text(key)), _cell(_text(value), "text")] for key, value in rows])
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table; headers may break at underscores."""
-    kinds = [' class="text"' if rows and "text" in rows[0][i][:20] else "" for i in range(len(header))]
-    names = (_text(name).replace("_", "_<wbr>") for name in header)
-    top = "".join(f"<th{kind}>{name}</th>" for kind, name in zip(kinds, names, strict=True)) if any(header) else ""
-    lines = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)
-    dense = ' class="dense"' if len(header) > _DENSE else ""
-    return f'<div class="wide"><table{dense}><thead><tr>{top}</tr></thead><tbody>\n{lines}\n</tbody></table></div>'
-
-
-def _cell(content: str, kind: str = "") -> str:
-    """Return a cell with HTML content."""
-    return f'<td class="{kind}">{content}</td>' if kind else f"<td>{content}</td>"
-
-
-def _figure(svg: str, caption: str) -> str:
-    return f"<figure>{svg}<figcaption>{_text(caption)}</figcaption></figure>"
-
-
-def _note(text: str) -> str:
-    return f'<p class="note">{_text(text)}</p>'
+    yield table_of(["", ""], [[td(escape(key)), td(escape(value), "text")] for key, value in rows])
 
 
 def _swatch(index: int) -> str:
     return f'<span class="swatch" style="background:{figures.COLOURS[index % len(figures.COLOURS)]}"></span>'
-
-
-def _text(value: str) -> str:
-    return html.escape(value)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
