@@ -92,15 +92,16 @@ class _ByHandle(Action):
 
     def is_due(self, state: JobState) -> bool:
         """Tell whether the joint has to be elsewhere in the end."""
-        return self.required and not self._is_there(state)
+        return self.required and not self.is_there(state)
 
-    def _is_there(self, state: JobState) -> bool:
+    def is_there(self, state: JobState) -> bool:
+        """Tell whether the joint is where this action moves it."""
         now = _Part.of(state.world, self.name).position
         return abs(now - self.position(state.world)) < _THERE
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield grasps of the handle, unless the joint is there or this was done before."""
-        if (self._kind, self.name) not in state.facts and not self._is_there(state):
+        if (self._kind, self.name) not in state.facts and not self.is_there(state):
             yield from self._grasps(state, motions)
 
     def _grasps(self, state: JobState, motions: Motions) -> tuple[Grasp, ...]:
@@ -246,7 +247,7 @@ def shut_in(state: JobState, name: str, motions: Motions, *, is_reached: bool = 
     It moves the part on which the object stands, and is not open. Or else the arm reaches a grasp of the object only
     once it is open; if the arm reaches one behind the closed part, the object is inside of the joint's furniture.
     """
-    shut = [one for one in _openings(state) if not one._is_there(state)]
+    shut = [one for one in _openings(state) if not one.is_there(state)]
     for one in shut:
         if name in _things_in(state, _Part.of(state.world, one.name)):
             return _shut_in(state, one.name)
