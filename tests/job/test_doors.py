@@ -17,13 +17,14 @@ from graceful_plan.job.actions import Action, Deed
 from graceful_plan.job.job_result import JobStatus
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion
+from graceful_plan.job.opening import shut_in
 
-DRAWER = ROOT / "tests" / "support" / "scenes" / "drawer.yaml"
+SCENES = ROOT / "tests" / "support" / "scenes"
 MUG = [0.4, 0.4, 0.4]
 
 
 def scene() -> gp.Scene:
-    return gp.load_scene(DRAWER)
+    return gp.load_scene(SCENES / "drawer.yaml")
 
 
 def job(*allowed: Action) -> gp.Job:
@@ -108,6 +109,29 @@ def test_misuse_is_named() -> None:
         job(gp.Open("drawer", handle="drawer_handle", to=0.4))
     with pytest.raises(SettingError, match="grasps"):
         gp.Open("drawer", handle="drawer_handle", grasps=(np.eye(4),))  # type: ignore[arg-type]
+
+
+def test_what_stands_in_a_closed_drawer_is_told_with_the_joint_and_the_action_that_opens_it() -> None:
+    closed = gp.plan_job(job(), 0.3, grasps=1, iterations=1)
+    assert closed.status is JobStatus.INFEASIBLE
+    assert "joint 'drawer'" in closed.detail and "gp.Open('drawer', handle='drawer_handle')" in closed.detail
+
+
+def test_a_joint_that_does_not_shut_an_object_in_is_no_remedy() -> None:
+    far = gp.plan_job(gp.Job(scene()).place("vase", at=[0.5, 0.58, 2.4]), 0.3, grasps=1, iterations=1)
+    assert far.status is JobStatus.INFEASIBLE and "gp.Open" not in far.detail
+
+
+def test_what_stands_behind_a_door_is_told_with_its_joint() -> None:
+    shut = gp.Job(gp.load_scene(SCENES / "cupboard.yaml")).place("mug", at=MUG)
+    result = gp.plan_job(shut, 0.3, grasps=1, iterations=1)
+    assert result.status is JobStatus.INFEASIBLE and "gp.Open('door', handle='door_handle')" in result.detail
+    state, motions = action_state(shut)
+    assert shut_in(state.with_joint("door", 1.8), "mug", motions) is None
+    inside = shut_in(state, "mug", motions, is_reached=True)
+    assert inside is not None and inside.joint == "door"
+    outside = state.moved("mug", np.eye(4))
+    assert shut_in(outside, "mug", motions, is_reached=True) is None
 
 
 @pytest.mark.long

@@ -92,15 +92,16 @@ class _ByHandle(Action):
 
     def is_due(self, state: JobState) -> bool:
         """Tell whether the joint has to be elsewhere in the end."""
-        return self.required and not self._is_there(state)
+        return self.required and not self.is_there(state)
 
-    def _is_there(self, state: JobState) -> bool:
+    def is_there(self, state: JobState) -> bool:
+        """Tell whether the joint is where this action moves it."""
         now = _Part.of(state.world, self.name).position
         return abs(now - self.position(state.world)) < _THERE
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         """Yield grasps of the handle, unless the joint is there or this was done before."""
-        if (self._kind, self.name) not in state.facts and not self._is_there(state):
+        if (self._kind, self.name) not in state.facts and not self.is_there(state):
             yield from self._grasps(state, motions)
 
     def _grasps(self, state: JobState, motions: Motions) -> tuple[Grasp, ...]:
@@ -221,6 +222,75 @@ def opened_for(body: str, actions: Iterable[object], state: JobState) -> JobStat
             if body in {part.scene.model.body(b).name for b in part.bodies}:
                 return action.moved(state)
     return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShutIn:
+    """A hinge or slide of the surroundings behind which an object stands: the joint, its body, and its handle.
+
+    `handle` is empty if no geom of the part, or more than one, has a name with "handle".
+    """
+
+    joint: str
+    body: str
+    handle: str
+
+    @property
+    def remedy(self) -> str:
+        """The action that would help."""
+        return f"gp.Open({self.joint!r}, handle={repr(self.handle) if self.handle else '...'})"
+
+
+def shut_in(state: JobState, name: str, motions: Motions, *, is_reached: bool = False) -> ShutIn | None:
+    """Return the joint behind which an object is shut in; None if there is none.
+
+    It moves the part on which the object stands, and is not open. Or else the arm reaches a grasp of the object only
+    once it is open; if the arm reaches one behind the closed part, the object is inside of the joint's furniture.
+    """
+    shut = [one for one in _openings(state) if not one.is_there(state)]
+    for one in shut:
+        if name in _things_in(state, _Part.of(state.world, one.name)):
+            return _shut_in(state, one.name)
+    for one in shut:
+        if is_reached:
+            if _is_inside(state, name, _Part.of(state.world, one.name)):
+                return _shut_in(state, one.name)
+            continue
+        then = one.moved(state)
+        here = pose_key(then.pose(name))
+        if any(motions.configuration(then, name, grasp, here) is not None for grasp in motions.sampled(then, name)):
+            return _shut_in(state, one.name)
+    return None
+
+
+def _is_inside(state: JobState, name: str, part: _Part) -> bool:
+    """Tell whether the middle of an object is in the box around the piece of furniture of a part."""
+    scene = state.scene()
+    model, data = scene.model, scene.data_at(state.q)
+    root = int(part.scene.model.body_rootid[part.scene.model.jnt_bodyid[part.joint]])
+    geoms = list(colliding_geoms(model, subtree(model, root)))
+    R, box = data.geom_xmat[geoms].reshape(-1, 3, 3), model.geom_aabb[geoms]
+    middle = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", R, box[:, :3])
+    half = np.einsum("gij,gj->gi", np.abs(R), box[:, 3:])
+    p_W = data.body(name).xipos
+    return bool(((middle - half).min(axis=0) < p_W).all() and (p_W < (middle + half).max(axis=0)).all())
+
+
+def _openings(state: JobState) -> Iterator[Open]:
+    """Yield an action for each limited hinge or slide of the surroundings."""
+    model = state.world.model
+    for joint in range(model.njnt):
+        scalar = int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        is_robot = int(model.jnt_bodyid[joint]) in state.world.robot_bodies
+        if scalar and not is_robot and model.jnt_limited[joint] and model.joint(joint).name:
+            yield Open(model.joint(joint).name, handle="")
+
+
+def _shut_in(state: JobState, joint: str) -> ShutIn:
+    part = _Part.of(state.world, joint)
+    names = [part.scene.model.geom(g).name for g in colliding_geoms(part.scene.model, part.bodies)]
+    handles = [name for name in names if "handle" in name.lower()]
+    return ShutIn(joint=joint, body=part.body, handle=handles[0] if len(handles) == 1 else "")
 
 
 def _followed(state: JobState, part: _Part, grasp: Grasp, to: float, motions: Motions) -> Iterator[Trajectory | str]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from graceful_plan.job.actions import Transport
 from graceful_plan.job.job_state import pose_key, pose_of
 from graceful_plan.job.motions import Refusal
+from graceful_plan.job.opening import Open, shut_in
 from graceful_plan.job.placing import occupant
 from graceful_plan.job.rejected import Reason, Rejected
 from graceful_plan.job.search import SequenceSearch
@@ -41,7 +42,7 @@ def _reason(goal: Transport, search: SequenceSearch) -> str | None:
     if all(motions.configuration(state, name, grasp, here) is None for grasp in motions.sampled(state, name)):
         if (other := occupant(state.scene(), name, pose_of(here))) is not None:
             return f"{name!r}: it overlaps {other!r} where it stands"
-        return f"{name!r}: the arm reaches no grasp of it where it stands"
+        return f"{name!r}: the arm reaches no grasp of it where it stands{_shut(name, search)}"
     others = state.parked(tuple(body for body in motions.movable if body != name)).scene()
     taken = [occupant(others, name, pose_of(X)) for X in to]
     if all(taken):
@@ -53,7 +54,17 @@ def _reason(goal: Transport, search: SequenceSearch) -> str | None:
             return f"{name!r}: the arm reaches no placement of it"
         return f"{name!r}: no grasp reaches both where it stands and a placement; allow Clear({name!r})"
     refusal = search.refusals.get(name)
-    return None if refusal is None else refusal.why
+    return None if refusal is None else f"{refusal.why}{_shut(name, search, is_reached=True)}"
+
+
+def _shut(name: str, search: SequenceSearch, *, is_reached: bool = False) -> str:
+    """Return the end of a sentence about a closed drawer or door in front of an object, and the remedy."""
+    found = shut_in(search.start, name, search.motions, is_reached=is_reached)
+    if found is None:
+        return ""
+    allowed = any(isinstance(action, Open) and action.name == found.joint for action in search.actions)
+    remedy = f"although {found.remedy} is allowed" if allowed else f"allow {found.remedy}"
+    return f", shut in by {found.body!r} with joint {found.joint!r}; {remedy}"
 
 
 def _cycle(search: SequenceSearch) -> Iterator[str]:
