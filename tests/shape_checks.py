@@ -29,29 +29,25 @@ _in_full = jaxtyping.jaxtyped
 
 
 class _Test:
-    def __init__(self) -> None:
-        self.number = 0
-        """Number of tests begun."""
-        self.paused = False
-        """Whether no call is checked."""
-
-
-_test = _Test()  # an instance, because each call reads its attributes, and those of a class take several times as long
+    number = 0
+    """Number of tests begun."""
+    paused = False
+    """Whether no call is checked."""
 
 
 def begin_test() -> None:
     """Check the first calls of every function again."""
-    _test.number += 1
+    _Test.number += 1
 
 
 @contextlib.contextmanager
 def paused() -> Generator[None]:
     """Check no calls, for tests of arguments that the annotations do not mention but functions accept or refuse."""
-    _test.paused = True
+    _Test.paused = True
     try:
         yield
     finally:
-        _test.paused = False
+        _Test.paused = False
 
 
 class _Decorator(Protocol):
@@ -90,10 +86,10 @@ def _function(typechecker: Callable[..., Any], function: Callable[..., Any]) -> 
     @functools.wraps(function)
     def thinned(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked, test, calls
-        if test != _test.number:
-            test, calls = _test.number, 0
+        if test != _Test.number:
+            test, calls = _Test.number, 0
         calls += 1
-        if (calls > FIRST and calls % EVERY) or _test.paused:
+        if _Test.paused or (calls > FIRST and calls % EVERY):
             return function(*args, **kwargs)
         checked = checked or _checked(typechecker, function)
         return checked(*args, **kwargs)
