@@ -33,16 +33,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add an option to run a part of the tests."""
+    """Add options to run a part of the tests."""
     parser.addoption("--part", type=sizes.portion, metavar="K/N", help="run the k-th of n parts of the tests")
+    parser.addoption("--long-part", type=sizes.portion, metavar="K/N", help="run quick tests and a part of the long")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect tests outside the requested part."""
+    """Deselect tests outside the requested parts."""
     if (part := config.getoption("--part")) is not None:
-        left_out = [item for item in items if item.nodeid not in part]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item.nodeid in part]
+        _keep(config, items, [item for item in items if item.nodeid in part])
+    if (part := config.getoption("--long-part")) is not None:
+        _keep(config, items, sizes.with_long_part(items, part))
+
+
+def _keep(config: pytest.Config, items: list[pytest.Item], kept: list[pytest.Item]) -> None:
+    """Deselect all other tests."""
+    names = {item.nodeid for item in kept}
+    config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in names])
+    items[:] = kept
 
 
 def pytest_collection_finish() -> None:

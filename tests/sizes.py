@@ -27,6 +27,17 @@ class Portion:
         return zlib.crc32(name.encode()) % self.n == self.k - 1
 
 
+def with_long_part(items: Iterable[pytest.Item], part: Portion) -> list[pytest.Item]:
+    """Return a part of the long tests and all quick ones.
+
+    Long tests come first, so that none begins when the other processes have nothing left to do.
+    """
+    long, quick = [], []
+    for item in items:
+        (long if item.get_closest_marker("long") else quick).append(item)
+    return [item for item in long if item.nodeid in part] + quick
+
+
 def portion(text: str) -> Portion:
     """Read "K/N".
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sizes import Portion, portion
+from sizes import Portion, portion, with_long_part
 
 
 @given(st.text(), st.integers(1, 20))
@@ -29,3 +31,15 @@ def test_a_part_is_read() -> None:
 def test_invalid_parts_are_refused(text: str) -> None:
     with pytest.raises(ArgumentTypeError, match="K/N"):
         portion(text)
+
+
+def test_of_long_tests_one_part_is_run_before_all_quick_ones() -> None:
+    items: Any = [
+        SimpleNamespace(nodeid=f"test_{i}", get_closest_marker=lambda name, i=i: name == "long" and i % 3 == 0)
+        for i in range(60)
+    ]
+    long = {item.nodeid for item in items[::3]}
+    runs = [[item.nodeid for item in with_long_part(items, Portion(k, 4))] for k in (1, 2, 3, 4)]
+    quick = [item.nodeid for item in items if item.nodeid not in long]
+    assert all(run[-len(quick) :] == quick for run in runs)
+    assert sorted(name for run in runs for name in run[: -len(quick)]) == sorted(long)
