@@ -15,7 +15,7 @@ from failbench.basics.statistics import Estimate, cluster_bootstrap, estimate_pr
 
 TASKS, LONG_TASKS = 14, 23
 WATCHED = "plan, monitor"
-OTHER_DEGREES, DEGREE_TASKS = ("minor", "moderate", "critical"), 6
+OTHER_DEGREES, DEGREE_TASKS = ("minor", "moderate", "critical"), 8
 """Further degrees of faults for the table of notices, on the first tasks with the condition `WATCHED`."""
 MEASURED = f"""\
 **Monitor.** The motion runs by the clock, with a reading every {1e3 * PERIOD:g} ms. The limits come from healthy runs

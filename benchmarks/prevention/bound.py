@@ -53,7 +53,7 @@ How much less harm could any choice among many motions do? Each task is planned 
 default, the service and the arm prior at w = 0.3, 1 and 3, with other seeds, planners and speeds. Each call returns up
 to {DISTINCT} distinct motions (`candidates={DISTINCT}`), of which up to {MOST} a task count. Every motion fails in the
 same ways. "Best": the motion with the least harm per executed task on some failures. It is judged on other failures, as
-all motions of the tables are. **Share of what is attainable**: the relative reduction of harm per task against w = 0,
+all motions of the tables are. **Share of the attainable**: the relative reduction of harm per task against w = 0,
 summed over the tasks, over that of the best motion. "At the same speed": over that of the best motion among those at
 {SPEED:g} of the velocity limits, the speed of the named motions. The choice of the best is noisy, so shares may exceed
 1. Intervals (95 %) come from resampled tasks. Harm and failures are those of `prevention`, damage to the carried object

@@ -1,4 +1,4 @@
-"""Tables of the bound: what is attainable, what the model ranks first, and what keeps the planner from it."""
+"""Tables of the bound: the attainable reduction, the first by the model, and the causes of the difference."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SURE = 1.1
 """The best motion of a task counts as better if it does this much less harm than the planner's."""
 BEST, BEST_AT_SPEED = "best", "best at the same speed"
 _SHARES = (
-    "motion", "harm per task, x less, median", "geometric mean", "share of what is attainable", "at the same speed",
+    "motion", "harm per task, x less, median", "geometric mean", "share of the attainable", "at the same speed",
     "duration",
 )  # fmt: skip
 _PICKS = (
-    "least", "harm per task, x less, median", "geometric mean", "share of what is attainable at the same speed",
+    "least", "harm per task, x less, median", "geometric mean", "share of the attainable at the same speed",
     "duration", "J over that of the planner's own motion, median",
 )  # fmt: skip
 _HEAVIER = (
@@ -50,12 +50,12 @@ _LIMITS = (
 
 
 def bound_targets(found: Sequence[Bound]) -> Iterator[report.Target]:
-    """Yield the targets: shares of what is attainable at the default weight."""
+    """Yield the targets: shares of the attainable at the default weight."""
     for kind in found[0].second:
         for prior in PRIORS:
             share = share_of(found, kind, name_of(prior, WEIGHTS[0]))
             yield report.Target(
-                what=f"{kind}: {prior} prior at w = {WEIGHTS[0]:g}, share of what is attainable",
+                what=f"{kind}: {prior} prior at w = {WEIGHTS[0]:g}, share of the attainable",
                 wanted=">= 0.9",
                 measured=str(share),
                 met=share.mean >= 0.9,

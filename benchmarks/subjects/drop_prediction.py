@@ -31,6 +31,7 @@ DEPENDS_ON = (
     "benchmarks/landing.py",
     "benchmarks/unseen",
     "benchmarks/variants.py",
+    "benchmarks/variant_table.py",
 )
 TALL = 2.0
 """Height over width above which a carried object is tall: bottles, tall glasses, vases, cans."""

@@ -31,6 +31,7 @@ DEPENDS_ON = (
     "sim/failbench/calibrations",
     "benchmarks/events.py",
     "benchmarks/variants.py",
+    "benchmarks/variant_table.py",
 )
 MEASURED = """\
 Scenes and motions as in `drop_prediction`, with other seeds. Faults are severe and begin at random times. An event is a

@@ -42,6 +42,7 @@ DEPENDS_ON = (
     "src/graceful_plan/monitor",
     "benchmarks/unseen",
     "benchmarks/monitored.py",
+    "benchmarks/monitored_runs.py",
 )
 SEED = 77
 TASKS = ("tabletop/green_to_blue", "unseen/bedside/bring_water")
