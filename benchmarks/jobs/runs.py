@@ -31,6 +31,8 @@ SPEED = 0.5
 """Fraction of the velocity limits: near full speed, the simulated arm lags by just more than FailBench allows."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
 DEGREE = "severe"
+_NO_HARM = 1e-9
+"""Harm of a healthy arm in one motion that is far below that of its failures per job."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +61,7 @@ class Way:
     low: float = np.nan
     high: float = np.nan
     refused: str = ""
+    """Why the healthy arm cannot execute it, or which harm it does; then the harm of failures is not compared."""
 
 
 @dataclass(kw_only=True)
@@ -114,6 +117,9 @@ def planned(one: Variant, w: float, seed: int) -> dict[str, JobResult]:
     by_order = {bare.order: bare}
     found = {OURS: ours, BLIND: blind}
     for name, order in orders.items():
+        if not order:  # of a job that was not solved
+            found[name] = blind
+            continue
         goals = tuple(body for body in order if body in (*one.goals, *one.kind.on_tray))
         if goals not in by_order:
             again = bare.why(order=goals, iterations=ACTIONS).other
@@ -173,6 +179,10 @@ def _executed(result: JobResult, run: Run) -> Way:
         report = failbench.validate_job(result, _faults(), n=run.failures, seed=run.seed, threads=1)
     except failbench.ExecutionRefused as refused:
         way.refused = str(refused)
+        return way
+    healthy = [one.report.healthy for one in report.motions if one.report.healthy.harm > _NO_HARM]
+    if healthy:
+        way.refused = "; ".join(map(str, healthy))
         return way
     way.harm, way.low, way.high = report.observed.mean, report.observed.low, report.observed.high
     return way

@@ -20,10 +20,9 @@ from benchmarks.jobs.runs import (
     Measured,
     Run,
     Way,
-    first_plan,
     measure,
 )
-from benchmarks.jobs.variants import FACTOR, GOAL_SHIFT, KINDS, SHIFT, eight_objects
+from benchmarks.jobs.variants import ALL, FACTOR, GOAL_SHIFT, KINDS, LARGER, SHIFT
 
 TITLE = "Jobs: harm of failures during whole tasks"
 QUESTION = "How much less harm does a job do if the order of its actions is chosen by harm as well?"
@@ -40,10 +39,14 @@ W = 1.0
 """Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
 VARIANTS, LONG_VARIANTS = 2, 6
 FAILURES = 400
+LARGER_VARIANTS, LONG_LARGER_VARIANTS = 1, 3
+LARGER_FAILURES = 200
 FIRST, EIGHT = 3.0, 10.0
 """Wanted times to a first complete plan with at most three, and with eight objects [s]."""
 LESS, LONGER = 1.5, 0.15
 """Wanted harm relative to ours, and largest share by which ours may take longer."""
+_MOST = 8
+"""Number of objects of the largest job."""
 MEASURED = f"""\
 Five jobs of `benchmarks/jobs`, each as it is and with drawn poses (objects by up to {100 * SHIFT:g} cm, goals by up to
 {100 * GOAL_SHIFT:g} cm) and severities (times or divided by up to {FACTOR:g}). w = {W:g}, at
@@ -55,18 +58,20 @@ Five jobs of `benchmarks/jobs`, each as it is and with drawn poses (objects by u
   this isolates the choice of the sequence.
 - "{NEAREST}", "{FRAGILE}": the order of a hand that always takes the nearest object, and by severity; motions at w.
 
+Three larger jobs are treated alike: a table is laid for a person (8 objects), a desk is cleared (7), and groceries are
+stowed beside a child who walks along the counter (6).
+
 Each search plans the same number of actions. FailBench executes every job with {FAILURES} failures of the gripper
-(failure, weak grip, stuck), uniform over the time of the job. Harm per job: failures come per hour. "x less": harm over
-that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation; in `person`, since it moves into the
-guest, who pushes it aside. "None": no sequence was found over the sampled grasps and places.
+(failure, weak grip, stuck), in larger jobs {LARGER_FAILURES} (`--long`: {FAILURES}), uniform over the time of the job.
+Harm per job: failures come per hour. "x less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a
+motion in simulation, since it moves into the guest of `person`, who pushes it aside, or it harms something. "None": no
+sequence was found over the sampled grasps and places.
 """
 
 
 def run(options: suite.Options) -> str:
     """Measure the variants that are left, and report on all."""
-    count, failures = options.pick(VARIANTS, quick=1, long=LONG_VARIANTS), options.pick(FAILURES, quick=20)
-    names = ("order",) if options.quick else tuple(KINDS)
-    wanted = [Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in names]
+    wanted = _wanted(options)
     until = time.monotonic() + (options.seconds or float("inf"))
     with store.folder_of(options, STORE) as folder:
         file = folder / "jobs.jsonl"
@@ -76,17 +81,18 @@ def run(options: suite.Options) -> str:
         found = [one for one in _read(file) if Run(**one.run) in wanted]
     if not found:
         raise report.NotMeasured("no variant was finished in time")
-    eight = (np.nan, np.nan) if options.quick else first_plan(eight_objects(), W)
-    found.sort(key=lambda one: (list(KINDS).index(one.run["job"]), one.run["number"]))
+    found.sort(key=lambda one: (list(ALL).index(one.run["job"]), one.run["number"]))
+    small, larger = ([one for one in found if one.run["job"] in kinds] for kinds in (KINDS, LARGER))
+    harm = [*(_harm_row(one) for one in small), _median_row(small, "median")]
+    if larger:
+        harm += [*(_harm_row(one) for one in larger), _median_row(larger, "median of the larger jobs")]
     return "\n".join(
         [
             MEASURED,
             f"{len(found)} of {len(wanted)} variants were measured.\n",
-            report.targets(_targets(found, eight)),
+            report.targets(targets(small, larger)),
             "Harm per executed job, relative to that of ours, with the duration in brackets:\n",
-            report.table(
-                ("job", *METHODS, "interval of ours"), [*(_harm_row(one) for one in found), _median_row(found)]
-            ),
+            report.table(("job", *METHODS, "interval of ours"), harm),
             "Sequences:\n",
             report.table(("job", OURS, BLIND_ORDER), (_sequence_row(one) for one in found), numbers=False),
             "Predicted impact (sum of P S over the job) and motion cost, gap to the lower bound, and "
@@ -94,6 +100,17 @@ def run(options: suite.Options) -> str:
             report.table(_COST_HEADER, (_cost_row(one) for one in found)),
         ]
     )
+
+
+def _wanted(options: suite.Options) -> list[Run]:
+    """Return the variants of a run; a quick run has one, of a small job."""
+    if options.quick:
+        return [Run(job="order", number=0, w=W, failures=20)]
+    count = options.pick(VARIANTS, quick=1, long=LONG_VARIANTS)
+    small = [Run(job=name, number=k, w=W, failures=FAILURES) for k in range(count) for name in KINDS]
+    count = options.pick(LARGER_VARIANTS, quick=0, long=LONG_LARGER_VARIANTS)
+    failures = options.pick(LARGER_FAILURES, quick=0, long=FAILURES)
+    return [*small, *(Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in LARGER)]
 
 
 def _read(file: Path) -> list[Measured]:
@@ -125,17 +142,12 @@ def _median(found: Sequence[Measured], method: str) -> tuple[float, float]:
     return float(np.median(ratios)), float(np.median(times)) - 1.0
 
 
-def _targets(found: Sequence[Measured], eight: tuple[float, float]) -> Iterator[report.Target]:
+def targets(found: Sequence[Measured], larger: Sequence[Measured]) -> Iterator[report.Target]:
+    """Yield the targets of the five jobs, then those of the larger ones."""
     changed = [one for one in found if one.ways[OURS].steps != one.ways[BLIND_ORDER].steps]
     several = f"the same over the {len(changed)} variants whose sequence differs"
-    for what, some in ((f'{HEADLINE}, ours against "{BLIND_ORDER}", median', found), (several, changed)):
-        ratio, more = _median(some, BLIND_ORDER)
-        yield report.Target(
-            what=what,
-            wanted=f"{LESS:g} x less, <= {100 * LONGER:g} % longer",
-            measured=f"{report.quantity(ratio)} x less, {100 * more:+.1f} %",
-            met=ratio >= LESS and more <= LONGER if np.isfinite(ratio) else None,
-        )
+    yield _less_harm(f'{HEADLINE}, ours against "{BLIND_ORDER}", median', found)
+    yield _less_harm(several, changed)
     small = [one for one in found if np.isfinite(one.least)]
     yield report.all_done(
         "jobs in which exhaustive search finds nothing cheaper",
@@ -147,17 +159,39 @@ def _targets(found: Sequence[Measured], eight: tuple[float, float]) -> Iterator[
     yield report.Target(
         what=f"time to a first complete plan, at most 3 objects, worst of the {len(planned)} that have one in 60 s",
         wanted=f"<= {FIRST:g} s",
-        measured=f"{worst:.1f} s ({max((one.first_cpu for one in planned), default=np.inf):.1f} s of processor time)",
+        measured=_first(worst, max((one.first_cpu for one in planned), default=np.inf)),
         met=worst <= FIRST,
     )
+    yield _executed("jobs that are planned and executed", found)
+    yield _less_harm(f'larger jobs: {HEADLINE}, ours against "{BLIND_ORDER}", median', larger)
+    eight = next((one for one in larger if one.objects == _MOST), None)
     yield report.Target(
-        what="time to a first complete plan, 8 objects",
+        what=f"time to a first complete plan, {_MOST} objects",
         wanted=f"<= {EIGHT:g} s",
-        measured=f"{report.quantity(eight[0])} s ({report.quantity(eight[1])} s of processor time)",
-        met=eight[0] <= EIGHT if np.isfinite(eight[0]) else None,
+        measured="none" if eight is None else _first(eight.first_seconds, eight.first_cpu),
+        met=None if eight is None else eight.first_seconds <= EIGHT,
     )
-    solved = sum(way.status == "SOLVED" and not way.refused for one in found for way in one.ways.values())
-    yield report.all_done("jobs that are planned and executed", solved, sum(len(one.ways) for one in found))
+    yield _executed("larger jobs that are planned and executed", larger)
+
+
+def _first(seconds: float, cpu: float) -> str:
+    return f"{seconds:.1f} s ({cpu:.1f} s of processor time)"
+
+
+def _less_harm(what: str, some: Sequence[Measured]) -> report.Target:
+    ratio, more = _median(some, BLIND_ORDER)
+    return report.Target(
+        what=what,
+        wanted=f"{LESS:g} x less, <= {100 * LONGER:g} % longer",
+        measured=f"{report.quantity(ratio)} x less, {100 * more:+.1f} %",
+        met=ratio >= LESS and more <= LONGER if np.isfinite(ratio) else None,
+    )
+
+
+def _executed(what: str, some: Sequence[Measured]) -> report.Target:
+    done = sum(way.status == "SOLVED" and not way.refused for one in some for way in one.ways.values())
+    of = sum(len(one.ways) for one in some)
+    return report.Target(what=what, wanted="all", measured=f"{done} of {of}", met=done == of if of else None)
 
 
 def _cell(one: Measured, method: str) -> str:
@@ -175,9 +209,9 @@ def _harm_row(one: Measured) -> Sequence[object]:
     return (_name(one), *cells, f"{report.quantity(ours.low)} to {report.quantity(ours.high)}")
 
 
-def _median_row(found: Sequence[Measured]) -> Sequence[object]:
+def _median_row(found: Sequence[Measured], name: str) -> Sequence[object]:
     medians = [_median(found, method) for method in METHODS[1:]]
-    return ("median", "", *(f"{report.quantity(ratio)} (ours {100 * more:+.1f} %)" for ratio, more in medians), "")
+    return (name, "", *(f"{report.quantity(ratio)} (ours {100 * more:+.1f} %)" for ratio, more in medians), "")
 
 
 def _sequence_row(one: Measured) -> Sequence[object]:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.jobs.runs import BLIND_ORDER, OURS, Measured, Way, fragile_last, nearest_first
-from benchmarks.jobs.variants import FACTOR, GOAL_SHIFT, KINDS, SHIFT, eight_objects, variant
-from benchmarks.subjects.jobs import less
+from benchmarks.jobs.variants import ALL, FACTOR, GOAL_SHIFT, LARGER, SHIFT, standing, variant
+from benchmarks.subjects.jobs import less, targets
 
 import graceful_plan as gp
+from graceful_plan.job.job_planning import JobSession
+from graceful_plan.job.placing import occupant, support_of
 
 
 def _severity(scene: gp.Scene, body: str) -> float:
     return (scene.moving_severity[body] if body in scene.moving else scene.entities[body].severity)["body"]
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", ALL)
 def test_variants_are_drawn_within_bounds_and_again_alike(name: str) -> None:
     plain, drawn, again = variant(name, 0), variant(name, 1), variant(name, 1)
     ready = plain.scene.keyframes["ready"]
@@ -30,11 +32,34 @@ def test_variants_are_drawn_within_bounds_and_again_alike(name: str) -> None:
     assert set(drawn.job().goals) == {*plain.kind.goals, *plain.kind.on_tray}
 
 
+@pytest.mark.parametrize("name", LARGER)
+def test_the_arm_reaches_all_objects_of_larger_jobs_and_their_places(name: str) -> None:
+    plain = variant(name, 0)
+    assert 6 <= len(plain.goals) <= 8
+    search = JobSession(plain.job(extras=False), gp.Objective(), grasps=1).search()
+    for goal in search.goals:
+        grasps = search.motions.grasps(search.start, goal.name, goal.poses(search.start))
+        assert next(grasps, None) is not None, goal.name
+
+
+@pytest.mark.parametrize("name", LARGER)
+def test_places_of_larger_jobs_are_free(name: str) -> None:
+    plain = variant(name, 0)
+    at = {body: standing(plain.scene, body) for body in plain.goals}
+    for body, X_WO in at.items():
+        X_WO[:3, 3] = plain.goals[body]
+    arrived = plain.scene.edit(move=at)
+    for body in plain.goals:
+        assert occupant(plain.scene, body, at[body]) is None
+        assert occupant(arrived, body, at[body]) is None
+        assert support_of(arrived, body) is not None
+
+
 def test_simple_orders() -> None:
     order = variant("order", 0)
     assert fragile_last(order) == ("crate", "dome") and nearest_first(order)[0] == "crate"
     assert len(nearest_first(variant("tray", 0))) == 3
-    assert len(eight_objects().job().goals) == 8
+    assert len(nearest_first(variant("lay", 0))) == 8
 
 
 def test_harm_is_compared_per_executed_job() -> None:
@@ -42,3 +67,20 @@ def test_harm_is_compared_per_executed_job() -> None:
     assert less(Measured(run={}, objects=1, ways=ways), BLIND_ORDER) == 2.5
     ways[OURS].harm = 0.0
     assert np.isnan(less(Measured(run={}, objects=1, ways=ways), BLIND_ORDER))
+
+
+def _measured(job: str, objects: int, harm: dict[str, float]) -> Measured:
+    ways = {name: Way(status="SOLVED", harm=value, duration=10.0) for name, value in harm.items()}
+    return Measured(run={"job": job, "number": 0}, objects=objects, ways=ways, first_seconds=2.0, first_cpu=2.0)
+
+
+def test_larger_jobs_have_targets_of_their_own() -> None:
+    small = [_measured("order", 2, {OURS: 1.0, BLIND_ORDER: 2.0})]
+    larger = [_measured("lay", 8, {OURS: 1.0, BLIND_ORDER: 1.2})]
+    found = {target.what: target for target in targets(small, larger)}
+    alone = {target.what: target for target in targets(small, [])}
+    of_larger = [what for what in found if what.startswith("larger") or "8 objects" in what]
+    assert {what: one for what, one in found.items() if what not in of_larger}.items() <= alone.items()
+    assert all(alone[what].met is None for what in of_larger)
+    median = next(found[what] for what in of_larger if "median" in what)
+    assert median.met is False and found[of_larger[-1]].met is True
