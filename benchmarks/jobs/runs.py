@@ -25,8 +25,8 @@ OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE = (
     "fragile last",
 )
 METHODS = (OURS, BLIND, BLIND_ORDER, NEAREST, FRAGILE)
-ACTIONS, GRASPS = 20, 3
-"""Planned actions of a search, and grasps of each object to choose from."""
+ACTIONS, ACTIONS_EACH, GRASPS = 20, 6, 3
+"""Planned actions of a search, at least and per object, and grasps of each object to choose from."""
 SPEED = 0.5
 """Fraction of the velocity limits: near full speed, the simulated arm lags by just more than FailBench allows."""
 FAULTS = ("gripper_failure", "weak_grip", "stuck_gripper")
@@ -88,7 +88,7 @@ class Measured:
 def measure(run: Run) -> Measured:
     """Plan a variant in all ways and simulate its failures."""
     one = variant(run.job, run.number)
-    measured = Measured(run=asdict(run), objects=len(one.goals) + len(one.kind.on_tray))
+    measured = Measured(run=asdict(run), objects=one.objects)
     measured.first_seconds, measured.first_cpu = first_plan(one, run.w)
     plans = planned(one, run.w, run.seed)
     measured.shares, measured.gap = dict(plans[OURS].stats), plans[OURS].gap
@@ -107,9 +107,10 @@ def measure(run: Run) -> Measured:
 
 def planned(one: Variant, w: float, seed: int) -> dict[str, JobResult]:
     """Plan a variant in all ways; ways with the same order share a result."""
+    actions = max(ACTIONS, ACTIONS_EACH * one.objects)
 
     def plan(job: gp.Job, weight: float) -> JobResult:
-        return gp.plan_job(job, weight, grasps=GRASPS, iterations=ACTIONS, seed=seed, speed=SPEED)
+        return gp.plan_job(job, weight, grasps=GRASPS, iterations=actions, seed=seed, speed=SPEED)
 
     ours, blind = plan(one.job(), w), plan(one.job(), 0.0)
     bare = plan(one.job(extras=False), w)
@@ -122,7 +123,7 @@ def planned(one: Variant, w: float, seed: int) -> dict[str, JobResult]:
             continue
         goals = tuple(body for body in order if body in (*one.goals, *one.kind.on_tray))
         if goals not in by_order:
-            again = bare.why(order=goals, iterations=ACTIONS).other
+            again = bare.why(order=goals, iterations=actions).other
             by_order[goals] = again
         found[name] = by_order[goals]
     return found

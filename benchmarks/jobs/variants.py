@@ -118,6 +118,11 @@ class Variant:
     kind: JobKind
     goals: Mapping[str, np.ndarray]
 
+    @property
+    def objects(self) -> int:
+        """Number of objects with a goal."""
+        return len(self.goals) + len(self.kind.on_tray)
+
     def job(self, *, extras: bool = True) -> gp.Job:
         """Return the job, with or without actions that only harm can make pay."""
         job = gp.Job(self.scene)

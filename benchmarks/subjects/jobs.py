@@ -10,6 +10,8 @@ import numpy as np
 
 from benchmarks import report, store, suite
 from benchmarks.jobs.runs import (
+    ACTIONS,
+    ACTIONS_EACH,
     BLIND,
     BLIND_ORDER,
     FRAGILE,
@@ -61,11 +63,12 @@ Five jobs of `benchmarks/jobs`, each as it is and with drawn poses (objects by u
 Three larger jobs are treated alike: a table is laid for a person (8 objects), a desk is cleared (7), and groceries are
 stowed beside a child who walks along the counter (6).
 
-Each search plans the same number of actions. FailBench executes every job with {FAILURES} failures of the gripper
-(failure, weak grip, stuck), in larger jobs {LARGER_FAILURES} (`--long`: {FAILURES}), uniform over the time of the job.
-Harm per job: failures come per hour. "x less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a
-motion in simulation, since it moves into the guest of `person`, who pushes it aside, or it harms something. "None": no
-sequence was found over the sampled grasps and places.
+Each search of a job plans the same number of actions: {ACTIONS}, or {ACTIONS_EACH} per object if that is more.
+FailBench executes every job with {FAILURES} failures of the gripper (failure, weak grip, stuck), in larger jobs
+{LARGER_FAILURES} (`--long`: {FAILURES}), uniform over the time of the job. Harm per job: failures come per hour. "x
+less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation, since it moves into
+the guest of `person`, who pushes it aside, or it harms something. "None": no sequence was found over the sampled grasps
+and places.
 """
 
 
