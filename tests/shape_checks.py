@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Protocol
 
 import jaxtyping
+import numpy.typing
 from beartype.roar import BeartypeCallHintViolation, BeartypeDecorHintException
 
 FIRST = 3
@@ -127,3 +128,5 @@ def _checked(typechecker: Callable[..., Any], function: Callable[..., Any]) -> C
 def install() -> None:
     """Replace jaxtyping's decorator for all modules imported from now on."""
     jaxtyping.jaxtyped = jaxtyped
+    # Checked at run time, NumPy's type refuses tuples, which have no `__reversed__`.
+    numpy.typing.ArrayLike = Any
