@@ -12,11 +12,13 @@ from places import ROOT
 import failbench as fb
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
+from graceful_plan.job.actions import Action, Deed
 from graceful_plan.job.job_result import JobStatus
 from graceful_plan.job.job_state import pose_key
 from graceful_plan.job.still_base import arm_alone, reached_poses, straight_arm_motion
 
-TABLES = ROOT / "tests" / "support" / "scenes" / "fetch_tables.yaml"
+SCENES = ROOT / "tests" / "support" / "scenes"
+TABLES, KITCHEN = SCENES / "fetch_tables.yaml", SCENES / "fetch_kitchen.yaml"
 
 
 def scene() -> gp.Scene:
@@ -75,3 +77,24 @@ def test_a_fetch_carries_a_can_from_one_table_to_the_other() -> None:
     np.testing.assert_allclose(end, [-1.4, 0.1, 0.74], atol=2e-3)
     validated = fb.validate_job(result, "drop/*/severe", n=4)
     assert {motion.label for motion in validated.motions} == {"lift", "carry", "lower"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("action", "driving"),
+    [(gp.Open("drawer", handle="drawer_handle"), ["transit"]), (gp.Pour("kettle", into="pot"), ["transit", "carry"])],
+)
+def test_the_base_stands_while_the_arm_opens_a_drawer_or_pours(action: Action, driving: list[str]) -> None:
+    job = gp.Job(gp.load_scene(KITCHEN)).place("mug", at=[-1.4, 0.3, 0.74]).allow(action)
+    state, motions = action_state(job)
+    deeds = (action.motion(state, choice, motions) for choice in action.candidates(state, motions))
+    deed = next(deed for deed in deeds if isinstance(deed, Deed))
+    at = state.q
+    for piece in (piece for _, _, pieces in deed.steps for piece in pieces):
+        np.testing.assert_allclose(piece.trajectory.q[0], at, atol=1e-9)
+        assert gp.verify(piece.trajectory, piece.scene).passed, piece.label
+        drives = np.ptp(piece.trajectory.q[:, :3], axis=0).max() > 1e-9
+        assert drives == (piece.label in driving), piece.label
+        at = piece.trajectory.q[-1]
+    if isinstance(action, gp.Open):
+        np.testing.assert_allclose(deed.state.pose("mug")[:3, 3], [1.19, 0.0, 0.57], atol=1e-6)
