@@ -63,9 +63,9 @@ def test_the_tables_show_every_task_and_the_best_motion():
     text = bound_table([bound("desk/x", 4.0, 2.0, 1.0), bound("studio/y", 1.0, 1.0, 0.5)], SIZES)
     assert f"2 of {len(TASKS)} tasks, 1 of them unseen" in text
     assert "| desk/x | drops | 8 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 4.00 | 4.00 | other | +0 % |" in text
-    assert len(
-        [line for line in text.splitlines() if "share of the attainable |" in line and ">= 0.9" in line]
-    ) == (len(PRIORS) * len(SIZES))
+    assert len([line for line in text.splitlines() if "share of the attainable |" in line and ">= 0.9" in line]) == (
+        len(PRIORS) * len(SIZES)
+    )
     assert "| drops | default | 1 | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] | 0 | 0 | +0 % |" in text
     assert "No task is finished" in bound_table([], SIZES)
 

@@ -10,6 +10,7 @@ from benchmarks.subjects.jobs import less, targets
 
 import graceful_plan as gp
 from graceful_plan.job.job_planning import JobSession
+from graceful_plan.job.job_result import JobStatus
 from graceful_plan.job.placing import occupant, support_of
 
 
@@ -84,3 +85,12 @@ def test_larger_jobs_have_targets_of_their_own() -> None:
     assert all(alone[what].met is None for what in of_larger)
     median = next(found[what] for what in of_larger if "median" in what)
     assert median.met is False and found[of_larger[-1]].met is True
+
+
+@pytest.mark.long
+def test_a_larger_job_is_no_dearer_than_in_the_order_of_severity() -> None:
+    one = variant("clear_desk", 0)
+    ours = gp.plan_job(one.job(), 1.0, grasps=3, iterations=42, speed=0.5)
+    given = ours.why(order=fragile_last(one), iterations=42).other
+    assert ours.status is given.status is JobStatus.SOLVED
+    assert ours.cost.total < given.cost.total

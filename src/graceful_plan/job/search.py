@@ -1,11 +1,9 @@
 """Search over sequences of actions: anytime, lazy, best first, with dives.
 
 A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
-placement. Edges are planned only when they are the best left. They are ordered by an estimate: the known cost of
-carrying the same object between the same places, or else their lower bound times the mean ratio of costs to bounds.
-Each remaining object adds its least known cost with the same protection, such as closed lids, or else its least known
-motion cost. Of the choices of an action in a node, one at a time is open, so all orders are tried before all grasps.
-An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence.
+placement. Edges are planned only when they are the best left. They are ordered by an estimate, see
+`sequence_estimate.py`. Of the choices of an action in a node, one at a time is open, so all orders are tried before all
+grasps. An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence.
 
 Until the first sequence is complete, the deepest node comes first, and actions that meet a goal come before all others.
 Grasps are drawn one by one until then. Later, the best edge is followed down to a complete sequence as long as its
@@ -25,12 +23,11 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-import numpy as np
-
 from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 from graceful_plan.job.rejected import Actions, SearchRecord
+from graceful_plan.job.sequence_estimate import KnownCosts
 from graceful_plan.result import CostBreakdown
 
 _TIME_PRICE = 1e-3
@@ -41,8 +38,6 @@ _ENDANGERED = 0.01
 """Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
 _CHEAP = 5
 """Number of actions that are refused without planning, in about the time that a planned one takes."""
-_RATIO = 2.0
-"""Ratio of cost to lower bound that is assumed before any edge is planned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,11 +121,7 @@ class SequenceSearch:
     _open: list[tuple[float, int, Edge]] = field(default_factory=list)
     _followed: set[int] = field(default_factory=set)
     """Ids of open edges that were planned in a dive."""
-    _carried: dict[Hashable, float] = field(default_factory=dict)
-    _cheapest: dict[Hashable, float] = field(default_factory=dict)
-    """Least cost of each goal object's transports that were planned, by protection; least motion cost for None."""
-    _ratios: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
-    """Sum and number of ratios of cost to bound, by object and protection; of motion cost for None."""
+    _known: KnownCosts = field(default_factory=KnownCosts)
     _waited: dict[int, Node] = field(default_factory=dict)
     """Nodes by id in which waits are tried."""
     _rests: dict[Hashable, Mapping[str, float]] = field(default_factory=dict)
@@ -145,15 +136,16 @@ class SequenceSearch:
             if over(self.planned):  # before the estimates of the next edge, which may take time
                 return
             edge = self._next(reached)
-            reached = []
             node = None
             if self._may_pay(edge):
                 node = self.child(edge)
                 edge.others.is_possible = edge.others.is_possible or node is not None
             else:
                 self.record.bounded(edge.actions, self.least(edge))
-            self._open_next(edge)
-            if node is not None:
+            opened = self._open_next(edge)
+            if node is None:  # the dive goes on from the same node
+                reached = [*(other for other in reached if other is not edge), *opened] if edge in reached else []
+            else:
                 if waits := self._waits(edge.node, node):
                     self._start(edge.node, waits)
                 reached = self._expand(node, seen, improved)
@@ -165,7 +157,7 @@ class SequenceSearch:
         return self.best is None or self.least(edge) < self.best.cost
 
     def _next(self, reached: Sequence[Edge]) -> Edge:
-        """Return the edge to plan next: the best of a node just reached if it is promising, or of all that are open."""
+        """Return the edge to plan next: the best of the node last reached if it is promising, or of all."""
         if self.best is not None and reached:
             estimate, edge = min(((self._estimate(edge), edge) for edge in reached), key=lambda pair: pair[0])
             if estimate < self.best.cost:
@@ -250,18 +242,19 @@ class SequenceSearch:
 
     def _learn(self, edge: Edge, pieces: Sequence[JobMotion], cost: float) -> None:
         """Remember what the estimates of other edges need."""
-        held = [piece.trajectory.q[0] for piece in pieces if piece.label in ("grip", "release")]
-        carry = self.motions.length(held[0], held[-1]) if held else edge.bound
-        transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
-        self._carried[self._memory(edge)] = cost - transit - carry
-        name, protection = edge.action.name, self._protection(edge.node.state)
-        motion = sum(piece.cost.motion for piece in pieces)
-        for known, value in (((name, protection), cost), ((name, None), motion)):
-            if edge.action in self.goals:
-                self._cheapest[known] = min(value, self._cheapest.get(known, np.inf))
-            if edge.bound > 0.0:
-                total, count = self._ratios.get(known, (0.0, 0))
-                self._ratios[known] = total + value / edge.bound, count + 1
+        state, name, w = edge.node.state, edge.action.name, self.motions.objective.w
+        harm = {other: 0.0 for other in self.motions.movable if other != name}
+        for piece in pieces:
+            for other in harm:
+                harm[other] += w * piece.cost.impact_by_entity.get(other, 0.0)
+        self._known.learn(
+            name,
+            keys=(self._memory(edge), self._protection(state)),
+            bound=edge.bound,
+            cost=cost,
+            motion=sum(piece.cost.motion for piece in pieces),
+            harm={(other, other in state.where): value for other, value in harm.items()},
+        )
 
     def edges(self, node: Node, actions: Sequence[Action] | None = None) -> Iterator[Edge]:
         """Yield the actions, by default all, that are possible in the state of a node."""
@@ -336,16 +329,15 @@ class SequenceSearch:
         self._push(best)
         return best
 
-    def _open_next(self, edge: Edge) -> None:
-        """Open the next alternative of a planned or discarded edge."""
+    def _open_next(self, edge: Edge) -> Sequence[Edge]:
+        """Open the next alternative of a planned or discarded edge; return it, or nothing."""
         others, edges = edge.others, edge.others.waiting
         if others.owed and (self.best is not None or not edges):
             grasps = others.owed if self.best is not None else 1
             edges = [*edges, *self._drawn(edge.node, edge.action, others, grasps)]
         elif others.needs_grasp and not (edges or others.is_possible) and self._may_pay(edge):
             edges = self._drawn(edge.node, edge.action, others, self.motions.n_grasps)
-        if edges:
-            self._opened(edges)
+        return [self._opened(edges)] if edges else []
 
     def _waits(self, node: Node, child: Node) -> Sequence[Wait]:
         """Return waits before an action that endangers moving entities, once for each node.
@@ -407,35 +399,24 @@ class SequenceSearch:
         return False
 
     def _estimate(self, edge: Edge) -> float:
-        # What clears the way, or closes a lid, may free the motions that follow of all harm.
-        is_usual = edge.action in self.goals or isinstance(edge.action, Wait)
-        protection = self._protection(edge.node.state)
-        rest = 0.0
+        # What closes a lid, for example, may free the motions that follow of all harm.
+        is_usual = edge.action in self.goals or isinstance(edge.action, Wait | Clearing)
+        state, name, known = edge.node.state, edge.action.name, self._known
+        protection = self._protection(state)
+        elsewhere = {other: other in state.where for other in self.motions.movable}
+        own = known.cost(name, (self._memory(edge), protection), edge.bound, elsewhere)
         # Until a sequence is complete, only edges of equal depth are compared.
-        missing = {} if self.best is None else self._missing(edge.node)
-        for name, least in missing.items():
-            if name == edge.action.name:
-                continue
-            motion = self._cheapest.get((name, None), self._ratio(name, None) * least)
-            rest += self._cheapest.get((name, protection), motion) if is_usual else motion
-        known = self._carried.get(self._memory(edge))
-        own = edge.bound * self._ratio(edge.action.name, protection) if known is None else known + edge.bound
+        missing = {} if self.best is None else dict(self._missing(edge.node))
+        missing.pop(name, None)
+        if is_usual:
+            rest = known.rest(missing, protection, {**elsewhere, name: True})
+        else:
+            rest = sum(known.motion(other, least) for other, least in missing.items())
         return edge.node.cost + own + rest
 
-    def _ratio(self, name: str, protection: Hashable) -> float:
-        """Return the mean ratio of cost to lower bound of an object's transports, or of all if none is known."""
-        for known in ((name, protection), (name, None)):
-            if known in self._ratios:
-                total, count = self._ratios[known]
-                return total / count
-        every = list(self._ratios.values())
-        return sum(total for total, _ in every) / sum(count for _, count in every) if every else _RATIO
-
     def _protection(self, state: JobState) -> Hashable:
-        """Return a key of the bodies that were cleared and the lids that were closed."""
-        goals = {goal.name for goal in self.goals}
-        cleared = tuple(sorted((name, X) for name, X in state.where.items() if name not in goals))
-        return id(state.world), cleared, frozenset(fact for fact in state.facts if fact[0] != "waited")
+        """Return a key of what changes the harm of all motions, such as the lids that were closed."""
+        return id(state.world), frozenset(fact for fact in state.facts if fact[0] != "waited")
 
     def _memory(self, edge: Edge) -> Hashable:
         """Return what edges of about the same cost share: the object, the grasp, from where to where, protection."""
