@@ -2,11 +2,11 @@
 
 The harm that an action does to an object depends on whether that object stands at its place at the start or elsewhere.
 So the harm of each action is kept for each object and for both cases, as the least that was seen; a case that was not
-seen yet counts as no harm, so orders with it are tried. What remains of the cost of an action above its lower bound is
-kept by its choice, and by protection, such as closed lids.
+seen yet counts as no harm, so orders with it are tried. The rest of the cost of an action above its lower bound is kept
+by its choice, and by protection, such as closed lids.
 
 Of two objects that are both still to be moved, one passes the other first: the better order counts. The sum over pairs
-is the lower bound of a linear ordering problem [1].
+is a lower bound of the linear ordering problem [1].
 
 References:
     [1] R. Marti and G. Reinelt, "The Linear Ordering Problem", Springer, 2011.
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 _RATIO = 2.0
-"""Ratio of cost to lower bound that is assumed before any action is planned."""
+"""Ratio of motion cost to lower bound that is assumed at first; it counts as one observation."""
 
 
 @dataclass(eq=False)
@@ -32,7 +32,7 @@ class KnownCosts:
     """Least motion cost."""
     _harm: dict[tuple[str, str, bool], float] = field(default_factory=dict)
     """Least harm to another object, by whether that one is elsewhere than at the start."""
-    _ratios: tuple[float, int] = (_RATIO, 1)
+    _ratio: tuple[float, int] = (_RATIO, 1)
     """Sum and number of ratios of motion cost to lower bound."""
 
     def learn(
@@ -62,8 +62,8 @@ class KnownCosts:
         for (other, moved), value in harm.items():
             self._harm[name, other, moved] = min(value, self._harm.get((name, other, moved), float("inf")))
         if bound > 0.0:
-            total, count = self._ratios
-            self._ratios = total + motion / bound, count + 1
+            total, count = self._ratio
+            self._ratio = total + motion / bound, count + 1
 
     def cost(self, name: str, keys: Sequence[Hashable], bound: float, elsewhere: Mapping[str, bool]) -> float:
         """Return the estimated cost of an action, given which other objects are elsewhere than at the start."""
@@ -83,7 +83,7 @@ class KnownCosts:
 
     def motion(self, name: str, bound: float) -> float:
         """Return the estimated motion cost of moving an object."""
-        return self._motion.get(name, bound * self._ratios[0] / self._ratios[1])
+        return self._motion.get(name, bound * self._ratio[0] / self._ratio[1])
 
     def _passing(self, name: str, elsewhere: Mapping[str, bool]) -> float:
         return sum(self._seen(name, other, moved) for other, moved in elsewhere.items())
