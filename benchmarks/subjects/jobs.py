@@ -39,7 +39,7 @@ DEPENDS_ON = (
 STORE = Path(__file__).resolve().parents[1] / "job_runs"
 W = 1.0
 """Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
-VARIANTS, LONG_VARIANTS = 2, 6
+VARIANTS, LONG_VARIANTS = 3, 6
 FAILURES = 400
 LARGER_VARIANTS, LONG_LARGER_VARIANTS = 1, 3
 LARGER_FAILURES = 200
