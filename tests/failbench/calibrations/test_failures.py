@@ -52,8 +52,8 @@ def test_events_equal_those_of_the_recorder(task: gp.Task, motion: gp.Trajectory
         rows, columns = np.nonzero(dropped.hit[i])
         assert {(dropped.components[r], dropped.entities[c]) for r, c in zip(rows, columns, strict=True)} == touched
         at = motion.at(motion.t[0] + rollout.onset)
-        assert np.array_equal(dropped.q[i], at.q)
-        assert np.array_equal(dropped.qd[i], at.qd)
+        np.testing.assert_allclose(dropped.q[i], at.q, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(dropped.qd[i], at.qd, rtol=1e-12, atol=1e-12)
     assert dropped.hit.any() and not dropped.hit.all()
     assert len(dropped) == 24
     assert (dropped.grasp, dropped.lost) == ("fingers", 0)
