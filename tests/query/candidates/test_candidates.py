@@ -197,5 +197,6 @@ def test_a_callback_that_stops_late_ends_the_call_at_once(task: gp.Task) -> None
         return len(told) >= 3
 
     result = gp.plan(task.start, task.goal, task.scene, time_limit=LIMIT, seed=1, callback=third)
-    assert len(told) == 3 and result.cost.total == told[-1].total
+    # The other thread may have a better motion by then, of which the callback is no longer told.
+    assert len(told) == 3 and result.cost.total <= told[-1].total
     assert result.stats["total_time"] < 0.5 * LIMIT
