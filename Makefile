@@ -22,7 +22,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo   plan 'tabletop' with and without impact; pictures in graceful_plan_demo/"
-	@echo "make test   run the tests, 4 to 5 minutes on two cores"
+	@echo "make test   run the tests, 3 to 5 minutes on two cores"
 	@echo "make test-long  run further and longer tests"
 	@echo "make test-robots  run tests with robots from packages (370 MB)"
 	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch (200 MB)"

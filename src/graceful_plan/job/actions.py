@@ -53,7 +53,7 @@ class Action(ABC):
     name: str
     """The object that it is about."""
     kind: str = ""
-    """What is done, as in the kinds of steps; if empty, the name of the class in lower case."""
+    """Its name in lists of actions, such as "place"; if empty, the name of the class in lower case."""
 
     @property
     def moves(self) -> tuple[str, ...]:

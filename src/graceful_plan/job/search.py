@@ -168,7 +168,7 @@ class SequenceSearch:
             if id(edge) in self._followed:
                 self._followed.discard(id(edge))
                 continue
-            # Estimates grow as costs become known.
+            # Estimates mostly grow as costs become known.
             if self.best is not None and self._open and self._estimate(edge) > max(known, self._open[0][0]):
                 self._push(edge)
                 continue
@@ -243,17 +243,15 @@ class SequenceSearch:
     def _learn(self, edge: Edge, pieces: Sequence[JobMotion], cost: float) -> None:
         """Remember what the estimates of other edges need."""
         state, name, w = edge.node.state, edge.action.name, self.motions.objective.w
-        harm = {other: 0.0 for other in self.motions.movable if other != name}
-        for piece in pieces:
-            for other in harm:
-                harm[other] += w * piece.cost.impact_by_entity.get(other, 0.0)
+        others = (other for other in self.motions.movable if other != name)
+        impact = {other: sum(piece.cost.impact_by_entity.get(other, 0.0) for piece in pieces) for other in others}
         self._known.learn(
             name,
             keys=(self._memory(edge), self._protection(state)),
             bound=edge.bound,
             cost=cost,
             motion=sum(piece.cost.motion for piece in pieces),
-            harm={(other, other in state.where): value for other, value in harm.items()},
+            harm={(other, other in state.where): w * value for other, value in impact.items()},
         )
 
     def edges(self, node: Node, actions: Sequence[Action] | None = None) -> Iterator[Edge]:
@@ -306,7 +304,8 @@ class SequenceSearch:
             if self.best is None or node.cost < self.best.cost:
                 first = self.best is None
                 self.best = node
-                if first:  # from now on the most promising edge comes first, not the deepest; estimates only grow
+                if first:  # from now on the most promising edge comes first, not the deepest
+                    # Estimates take time, so these are made when an edge is due.
                     self._open = [(edge.node.cost + edge.bound, k, edge) for _, k, edge in self._open]
                     heapq.heapify(self._open)
                 improved(node)
