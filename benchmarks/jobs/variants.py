@@ -10,7 +10,7 @@ import numpy as np
 
 import graceful_plan as gp
 from graceful_plan.core.frames import pose_matrix
-from graceful_plan.job.placing import occupant
+from graceful_plan.job.placing import occupant, overlapping
 
 FOLDER = Path(__file__).parent
 SEED = 42
@@ -147,10 +147,14 @@ def variant(name: str, number: int) -> Variant:
     while True:  # until no two objects are in one place
         moved = {body: data.body(body).xpos + [*rng.uniform(-SHIFT, SHIFT, 2), 0.0] for body in bodies}
         drawn = scene.edit(move=moved)
-        if not any(occupant(drawn, body, standing(drawn, body)) for body in bodies):
+        if any(occupant(drawn, body, standing(drawn, body)) for body in bodies):
+            continue
+        if overlapping(drawn, bodies) is None:
             break
-    for at in goals.values():
-        at[:2] += rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2)
+    while True:  # until no two places overlap
+        goals = {body: np.add(at, [*rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2), 0.0]) for body, at in kind.goals.items()}
+        if overlapping(drawn.edit(move=goals), list(goals)) is None:
+            break
     factors = {body: float(FACTOR ** rng.uniform(-1.0, 1.0)) for body in kind.precious}
     table = scene.notes.severity
     severity = {}

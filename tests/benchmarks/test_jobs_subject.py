@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.jobs.runs import BLIND_ORDER, OURS, Measured, Way, fragile_last, nearest_first
+from benchmarks.jobs.runs import ACTIONS_EACH, BLIND_ORDER, OURS, Measured, Way, fragile_last, nearest_first
 from benchmarks.jobs.variants import ALL, FACTOR, GOAL_SHIFT, LARGER, SHIFT, standing, variant
 from benchmarks.subjects.jobs import less, targets
 
 import graceful_plan as gp
 from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobStatus
-from graceful_plan.job.placing import occupant, support_of
+from graceful_plan.job.job_state import JobState, PoseKey, pose_of
+from graceful_plan.job.motions import JobMotion, Motions, Refusal
+from graceful_plan.job.placing import occupant, overlapping, support_of
+from graceful_plan.job.search import SequenceSearch
 
 
 def _severity(scene: gp.Scene, body: str) -> float:
@@ -85,6 +88,46 @@ def test_larger_jobs_have_targets_of_their_own() -> None:
     assert all(alone[what].met is None for what in of_larger)
     median = next(found[what] for what in of_larger if "median" in what)
     assert median.met is False and found[of_larger[-1]].met is True
+
+
+@pytest.mark.parametrize("name", LARGER)
+def test_drawn_objects_and_places_do_not_overlap(name: str) -> None:
+    for number in range(4):
+        drawn = variant(name, number)
+        assert overlapping(drawn.scene, list(drawn.goals)) is None
+        assert overlapping(drawn.scene.edit(move=drawn.goals), list(drawn.goals)) is None
+
+
+def test_a_search_comes_back_from_a_dead_end_to_the_choice_that_caused_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    job, blocked = variant("lay", 0).job(extras=False), {}
+
+    def carried(
+        self: Motions, state: JobState, name: str, grasp: gp.Grasp, X_WO: PoseKey
+    ) -> tuple[list[JobMotion], list[JobMotion], JobState] | Refusal:
+        if blocked.get(name) in state.where:
+            return Refusal(name=name, why="blocked", blockers=frozenset({blocked[name]}))
+        return [self.still("transit", state.scene(), state.q)], [], state.moved(name, pose_of(X_WO))
+
+    monkeypatch.setattr(Motions, "carried", carried)
+
+    def order() -> tuple[SequenceSearch, list[str]]:
+        search = JobSession(job, gp.Objective(w=0.0), grasps=1).search()
+        search.run(lambda planned: search.best is not None or planned > 40)
+        return search, [] if search.best is None else [name for _, name in search.best.actions]
+
+    _, free = order()
+    blocked[free[-1]] = free[0]
+    search, found = order()
+    assert len(found) == len(free) and found.index(free[-1]) < found.index(free[0])
+    assert search.tried <= 2 * len(free)  # of the 5040 sequences that begin with the obstacle, one was followed
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "number"), [("clear_desk", 1), ("groceries", 2), ("lay", 3)])
+def test_drawn_larger_jobs_are_solved(name: str, number: int) -> None:
+    one = variant(name, number)
+    result = gp.plan_job(one.job(), 1.0, grasps=3, iterations=ACTIONS_EACH * one.objects, speed=0.5)
+    assert result.status is JobStatus.SOLVED, result.detail
 
 
 @pytest.mark.long

@@ -19,6 +19,8 @@ from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
 
+_GLASS = 0.048
+"""Diameter of the glasses of the job with a tray [m]."""
 _CAREFUL = 3.0
 """A weight at which the fragile object comes last."""
 
@@ -230,6 +232,20 @@ def test_goals_that_block_each_other_are_named_and_clearing_helps() -> None:
     assert "'crate' and 'dome' block each other" in result.detail
     solved = gp.plan_job(job.allow(gp.Clear(name="crate", n=4)), 0.0, grasps=1, iterations=20)
     assert [step.kind for step in solved.unwrap()][:2] == ["pick", "clear"] and len(solved.steps) == 6
+
+
+def test_places_that_overlap_are_told_before_anything_is_planned() -> None:
+    job = gp.Job(job_scene("order")).place("crate", at=[0.5, 0.3, 0.4]).place("dome", at=[0.5, 0.36, 0.4])
+    result = gp.plan_job(job.allow(gp.Clear("dome")), 0.0, grasps=1, iterations=1)
+    assert result.status is JobStatus.INFEASIBLE and result.stats["actions"] == 0
+    assert "'crate'" in result.detail and "'dome'" in result.detail
+
+
+@pytest.mark.parametrize("gap", [-0.001, 0.0])
+def test_objects_that_touch_at_the_start_are_taken_apart(gap: float) -> None:
+    job = gp.Job(_close_glasses(apart=_GLASS + gap)).place("glass1", at=[0.42, 0.35, 0.4])
+    result = gp.plan_job(job, 0.0, grasps=2, iterations=8)
+    assert result.order == ("glass1",), result.detail
 
 
 def test_a_place_out_of_reach_is_told() -> None:

@@ -20,8 +20,8 @@ from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.jobs import Job, Where
 from graceful_plan.job.motions import JobMotion, Motions, added
 from graceful_plan.job.opening import opened_for
-from graceful_plan.job.placing import lid_pose, placements, support_of
-from graceful_plan.job.reasons import reasons, unreachable
+from graceful_plan.job.placing import lid_pose, placements, support_of, touched
+from graceful_plan.job.reasons import conflict, reasons, unreachable
 from graceful_plan.job.rejected import ChosenSequence, Rejected
 from graceful_plan.job.search import Node, SequenceSearch, deeds_cost
 from graceful_plan.planners.planner import Budget
@@ -177,6 +177,8 @@ class JobSession:
             is_late = late(1.0 if search.best is None else _SEARCHED)
             return budget.cancelled() or is_late or (iterations is not None and planned >= iterations)
 
+        if why := conflict(search):
+            return JobResult(status=JobStatus.INFEASIBLE, detail=why, stats=_stats(search, budget), again=self.answer)
         search.run(over, improved)
         if search.best is None:
             status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
@@ -226,7 +228,8 @@ class JobSession:
             movable |= set(action.moves) if isinstance(action, Action) else set()
         names = tuple(sorted(movable))
         empty = self._state.parked(names)
-        supports = {name: {support} if (support := support_of(scene, name)) else set() for name in names}
+        # Neighbours as well: as they are known, they may overlap a bit.
+        supports = {name: touched(scene, name) for name in names}
         slots = {action.name: self._slots(action.name) for action in job.allowed if isinstance(action, Load)}
         goals = []
         for name, goal in job.goals.items():

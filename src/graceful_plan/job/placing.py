@@ -6,8 +6,9 @@ vertical axis.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
@@ -32,6 +33,8 @@ _LOW = 0.005
 """Height above the underside of an object up to which its geoms carry it [m]."""
 _OVERLAP = 0.003
 """Overlap from which two objects cannot be in one place [m]; as deep as contacts with a support may be."""
+_TOUCHING = 5e-4
+"""Gap or overlap up to which objects touch [m]; with a larger one, they are apart or overlap."""
 _LEVEL = 0.999
 """Least cosine between a top and the horizontal plane."""
 _TRIES = 64
@@ -130,6 +133,28 @@ def support_of(scene: Scene, name: str) -> str | None:
 def occupant(scene: Scene, name: str, X_WO: Float[Array, "4 4"]) -> str | None:
     """Return a body that an object would overlap at a pose; None if the place is free."""
     return _Standing(scene, name).blocker(X_WO, None, -_OVERLAP)
+
+
+def touched(scene: Scene, name: str) -> set[str]:
+    """Return the bodies that an object touches where it stands, such as its support and close neighbours."""
+    thing = _Standing(scene, name)
+    near = {
+        other
+        for other, g in product(thing.others, thing.geoms)
+        if mujoco.mj_geomDistance(thing.model, thing.data, g, other, _APART, None) < _TOUCHING
+    }
+    return {thing.model.body(thing.model.geom_bodyid[other]).name for other in near} - {""}
+
+
+def overlapping(scene: Scene, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the first two of some objects that overlap where they stand in a scene; None if all are apart."""
+    data = scene.data_at(scene.home_qpos[scene.qpos_adr])
+    geoms = {name: Placed(scene, name).geoms for name in names}
+    for first, second in combinations(names, 2):
+        for a, b in product(geoms[first], geoms[second]):
+            if mujoco.mj_geomDistance(scene.model, data, a, b, _APART, None) < -_TOUCHING:
+                return first, second
+    return None
 
 
 class _Standing(Placed):

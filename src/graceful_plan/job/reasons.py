@@ -8,7 +8,7 @@ from graceful_plan.job.actions import Transport
 from graceful_plan.job.job_state import pose_key, pose_of
 from graceful_plan.job.motions import Refusal
 from graceful_plan.job.opening import Open, shut_in
-from graceful_plan.job.placing import occupant
+from graceful_plan.job.placing import occupant, overlapping
 from graceful_plan.job.rejected import Reason, Rejected
 from graceful_plan.job.search import SequenceSearch
 
@@ -19,6 +19,16 @@ def reasons(search: SequenceSearch) -> str:
     goals = {goal.name for goal in search.goals}
     others = [refusal.why for name, refusal in search.refusals.items() if name not in goals]
     return "; ".join([*told, *_cycle(search), *others])
+
+
+def conflict(search: SequenceSearch) -> str:
+    """Return why the goals exclude each other: two objects that each have one place, and overlap there; or nothing."""
+    fixed = [goal for goal in search.goals if goal.onto is None and len(goal.to) == 1]
+    arrived = search.start
+    for goal in fixed:
+        arrived = arrived.moved(goal.name, pose_of(goal.to[0]))
+    pair = overlapping(arrived.scene(), [goal.name for goal in fixed])
+    return "" if pair is None else f"{pair[0]!r} and {pair[1]!r} overlap at their places"
 
 
 def unreachable(search: SequenceSearch) -> Iterator[Rejected]:

@@ -5,6 +5,9 @@ placement. Edges are planned only when they are the best left. They are ordered 
 `sequence_estimate.py`. Of the choices of an action in a node, one at a time is open, so all orders are tried before all
 grasps. An edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence.
 
+If all choices of a goal are refused because of objects that were moved before, it is blocked by them where they are
+now. Nodes with these objects there, and this goal still to be met, are dead ends; they come after all other nodes.
+
 Until the first sequence is complete, the deepest node comes first, and actions that meet a goal come before all others.
 Grasps are drawn one by one until then. Later, the best edge is followed down to a complete sequence as long as its
 estimate is below the least known cost. If all choices of an action in a node are refused, more grasps are drawn.
@@ -24,7 +27,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 from graceful_plan.job.actions import Action, Carry, Clearing, Closing, Deed, Hauling, Loading, Transport, Wait
-from graceful_plan.job.job_state import JobState, pose_key
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key
 from graceful_plan.job.motions import JobMotion, Motions, Refusal, added
 from graceful_plan.job.rejected import Actions, SearchRecord
 from graceful_plan.job.sequence_estimate import KnownCosts
@@ -36,6 +39,8 @@ _FAR = 1e6
 """More than any cost, so that edges are ordered by depth first."""
 _ENDANGERED = 0.01
 """Share of harm to moving entities in the cost of an action from which waiting before it is tried."""
+_DEAD_END = 1e9
+"""Far more than `_FAR` times any depth, so that edges into dead ends come last."""
 _CHEAP = 5
 """Number of actions that are refused without planning, in about the time that a planned one takes."""
 
@@ -68,6 +73,10 @@ class Alternatives:
     """Number of choices that are drawn."""
     refused: int = 0
     """Number of them that are refused without planning, counted by `instead`."""
+    obstacles: set[tuple[str, PoseKey]] = field(default_factory=set)
+    """Objects that were moved before and are in the way of refused choices, with their poses."""
+    may_become_free: bool = False
+    """Whether the obstacles of one of them may still be moved, or more time may help."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,6 +94,14 @@ class Edge:
         """The actions up to this one, as kinds and objects."""
         action = self.action
         return (*self.node.actions, (action.kind or type(action).__name__.lower(), action.name))
+
+    @property
+    def where(self) -> set[tuple[str, PoseKey]]:
+        """The poses of moved objects after the action, as far as they are known."""
+        where = dict(self.node.state.where)
+        if isinstance(self.choice, Carry):
+            where[self.action.name] = self.choice.to
+        return set(where.items())
 
 
 @dataclass(eq=False)
@@ -126,6 +143,8 @@ class SequenceSearch:
     """Nodes by id in which waits are tried."""
     _rests: dict[Hashable, Mapping[str, float]] = field(default_factory=dict)
     """Lower bounds of carrying each missing object, by state."""
+    _blocked: dict[str, list[set[tuple[str, PoseKey]]]] = field(default_factory=dict)
+    """Sets of moved objects with their poses that block each goal."""
     _number: int = 0
 
     def run(self, over: Callable[[int], bool], improved: Callable[[Node], None] = lambda _: None) -> None:
@@ -159,8 +178,8 @@ class SequenceSearch:
     def _next(self, reached: Sequence[Edge]) -> Edge:
         """Return the edge to plan next: the best of the node last reached if it is promising, or of all."""
         if self.best is not None and reached:
-            estimate, edge = min(((self._estimate(edge), edge) for edge in reached), key=lambda pair: pair[0])
-            if estimate < self.best.cost:
+            rank, edge = min(((self._rank(edge), edge) for edge in reached), key=lambda pair: pair[0])
+            if rank < self.best.cost:
                 self._followed.add(id(edge))
                 return edge
         while True:
@@ -168,8 +187,8 @@ class SequenceSearch:
             if id(edge) in self._followed:
                 self._followed.discard(id(edge))
                 continue
-            # Estimates mostly grow as costs become known.
-            if self.best is not None and self._open and self._estimate(edge) > max(known, self._open[0][0]):
+            # Ranks mostly grow as costs and dead ends become known.
+            if self._open and self._rank(edge) > max(known, self._open[0][0]):
                 self._push(edge)
                 continue
             return edge
@@ -224,6 +243,7 @@ class SequenceSearch:
             self.refusals[deed.name] = deed
             self.unsure = self.unsure or deed.unsure
             self.record.refused(edge.actions, deed, edge.node.cost + edge.bound)
+            self._note_obstacles(edge, deed)
             return None
         deed = self._in_time(edge.node.state, deed)
         pieces = [piece for _, _, some in deed.steps for piece in some]
@@ -231,6 +251,33 @@ class SequenceSearch:
         cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         self._learn(edge, pieces, cost)
         return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost, actions=edge.actions)
+
+    def _note_obstacles(self, edge: Edge, refusal: Refusal) -> None:
+        """Note which moved objects are in the way of an edge."""
+        where, others = edge.node.state.where, edge.others
+        moved = {(name, where[name]) for name in refusal.blockers if name in where}
+        others.obstacles |= moved
+        if refusal.unsure or (refusal.blockers and not moved):
+            others.may_become_free = True
+
+    def _learn_dead_end(self, edge: Edge) -> None:
+        """Remember what blocks a goal of which all choices are refused."""
+        others = edge.others
+        if edge.action in self.goals and others.obstacles and not (others.is_possible or others.may_become_free):
+            known = self._blocked.setdefault(edge.action.name, [])
+            if others.obstacles not in known:
+                known.append(others.obstacles)
+
+    def _dead_ends(self, edge: Edge) -> int:
+        """Return the number of goals that are known to be blocked after an edge and still to be met."""
+        if not self._blocked:
+            return 0
+        state, where = edge.node.state, edge.where
+        return sum(
+            any(obstacles <= where for obstacles in self._blocked.get(goal.name, ()))
+            for goal in self.goals
+            if goal is not edge.action and not goal.is_done(state)
+        )
 
     def _in_time(self, state: JobState, deed: Deed) -> Deed:
         """Return a deed with moving entities where they are at the start of each of its pieces."""
@@ -336,7 +383,10 @@ class SequenceSearch:
             edges = [*edges, *self._drawn(edge.node, edge.action, others, grasps)]
         elif others.needs_grasp and not (edges or others.is_possible) and self._may_pay(edge):
             edges = self._drawn(edge.node, edge.action, others, self.motions.n_grasps)
-        return [self._opened(edges)] if edges else []
+        if not edges:
+            self._learn_dead_end(edge)
+            return []
+        return [self._opened(edges)]
 
     def _waits(self, node: Node, child: Node) -> Sequence[Wait]:
         """Return waits before an action that endangers moving entities, once for each node.
@@ -356,8 +406,12 @@ class SequenceSearch:
 
     def _push(self, edge: Edge) -> None:
         self._number += 1
+        heapq.heappush(self._open, (self._rank(edge), self._number, edge))
+
+    def _rank(self, edge: Edge) -> float:
+        """Return a number by which open edges are ordered, the least first."""
         ahead = 0.0 if self.best is not None else _FAR * (2 * len(edge.node.deeds) + (edge.action in self.goals))
-        heapq.heappush(self._open, (self._estimate(edge) - ahead, self._number, edge))
+        return self._estimate(edge) - ahead + _DEAD_END * self._dead_ends(edge)
 
     def _in_order(self, state: JobState, action: Action) -> bool:
         if action.name not in self.order or not any(action is goal for goal in self.goals):
