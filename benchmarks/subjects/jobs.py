@@ -41,7 +41,7 @@ W = 1.0
 """Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
 VARIANTS, LONG_VARIANTS = 3, 6
 FAILURES = 400
-LARGER_VARIANTS, LONG_LARGER_VARIANTS = 1, 3
+LARGER_VARIANTS, LONG_LARGER_VARIANTS = 3, 6
 LARGER_FAILURES = 200
 FIRST, EIGHT = 3.0, 10.0
 """Wanted times to a first complete plan with at most three, and with eight objects [s]."""
