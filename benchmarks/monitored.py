@@ -15,7 +15,7 @@ from failbench.basics.statistics import Estimate, cluster_bootstrap, estimate_pr
 
 TASKS, LONG_TASKS = 14, 23
 WATCHED = "plan, monitor"
-OTHER_DEGREES, DEGREE_TASKS = ("minor", "moderate", "critical"), 8
+OTHER_DEGREES, DEGREE_TASKS, LONG_DEGREE_TASKS = ("minor", "moderate", "critical"), 4, 8
 """Further degrees of faults for the table of notices, on the first tasks with the condition `WATCHED`."""
 MEASURED = f"""\
 **Monitor.** The motion runs by the clock, with a reading every {1e3 * PERIOD:g} ms. The limits come from healthy runs
@@ -55,7 +55,7 @@ def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
     jobs += [
         MonitorJob(task=task, condition=WATCHED, robot=0, degree=degree)
         for degree in options.pick(OTHER_DEGREES, quick=())
-        for task in tasks[:DEGREE_TASKS]
+        for task in tasks[: options.pick(DEGREE_TASKS, quick=0, long=LONG_DEGREE_TASKS)]
     ]
     jobs = [job for job in jobs if (job.task, job.condition, job.robot, job.degree) not in done]
     store.fill(file, jobs, do, processes=options.processes, label="monitored", until=until)

@@ -43,6 +43,17 @@ def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run
     return suite.with_progress(workers.done(jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
+_DONE: dict[PlannerJob, Run] = {}
+"""Runs of this process that several subjects report."""
+
+
+def runs_once(jobs: Sequence[PlannerJob], label: str) -> list[Run]:
+    """Do runs in this process, except those that an earlier call has done, and return all in order."""
+    left = [job for job in jobs if job not in _DONE]
+    _DONE.update(zip(left, runs(left, 1, label), strict=True))  # in order, in one process
+    return [_DONE[job] for job in jobs]
+
+
 def warm(planner: str, task: str | None = None) -> None:
     """Run a planner once per process, to import and compile its code: on a task, or on a planar problem."""
     disc = ProblemSpec(name="analytic/disc", kind="analytic", item="disc")

@@ -1,6 +1,6 @@
 """Run benchmarks and print a Markdown document for each; `--write` writes it to results/ and updates the index.
 
-python benchmarks/run.py [subject ...] [--quick | --long] [--write] [--processes N] [--seconds S]
+python benchmarks/run.py [subject ...] [--quick | --long] [--write] [--commit HASH] [--processes N] [--seconds S]
 python benchmarks/run.py --stale
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import subprocess
 import sys
 import time
@@ -22,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from benchmarks import report, suite  # noqa: E402 - the import path is set above
+from benchmarks import planning, report, same_code, suite  # noqa: E402 - the import path is set above
 from graceful_plan.compare.runs import machine  # noqa: E402
 
 SUBJECTS = (
@@ -55,6 +56,12 @@ SUBJECTS = (
 run(options)."""
 APART = ("libero",)
 """Subjects that only run when they are named; they need packages in a separate environment."""
+_SHORT = 8
+"""Digits of a commit in the results."""
+_BEST_KNOWN = "benchmarks/best_known/"
+_REFERENCE = re.compile(r"^\| (\w+/\w+) \| ([\d.]+) \|", flags=re.MULTILINE)  # task and "best known J" of a table
+_ROUNDED = 1e-4
+"""Relative tolerance of a best-known J in a table, which has five digits."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,6 +74,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if args.quick and (args.write or args.long):
         parser.error("--quick: its figures mean little; leave out --write and --long")
+    here = _head()
+    if args.commit and here is not None and here != args.commit[: len(here)]:
+        parser.error(f"--commit {args.commit}: this repository is at {here}; leave out --commit")
+    if args.write and here is None and not args.commit:
+        parser.error("--write: without git the commit of the code is unknown; name it by --commit HASH")
     options = suite.Options(
         quick=args.quick,
         long=args.long,
@@ -85,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
     failed = 0
     for name in args.subjects or [name for name in SUBJECTS if name not in APART]:
         try:
-            text = measured(name, options, arguments)
+            text = measured(name, options, arguments, named=args.commit)
         except report.NotMeasured as reason:
             print(f"\n{name} is not measured: {reason}", flush=True)
             continue
@@ -99,10 +111,10 @@ def main(arguments: list[str] | None = None) -> int:
     return failed
 
 
-def measured(name: str, options: suite.Options, arguments: list[str] | None) -> str:
-    """Run one subject and return the text of its result file."""
+def measured(name: str, options: suite.Options, arguments: list[str] | None, *, named: str | None = None) -> str:
+    """Run one subject and return the text of its result file; `named` is the commit of code without a repository."""
     subject = module(name)
-    commit, load, started = _commit(paths_of(name)), os.getloadavg()[0], time.perf_counter()
+    commit, load, started = _commit(paths_of(name), named), os.getloadavg()[0], time.perf_counter()
     body = subject.run(options)
     seconds = time.perf_counter() - started
     head = report.Head(
@@ -150,22 +162,58 @@ def stale() -> Iterator[tuple[str, str]]:
         if not file.exists():
             yield name, "no results"
             continue
-        commit = report.commit_of(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        commit = report.commit_of(text)
         if commit == "unknown" or commit.endswith("+"):
             yield name, "commit unknown" if commit == "unknown" else f"uncommitted changes at {commit[:-1]}"
             continue
         changed = _git("diff", "--name-only", commit, "--", *paths_of(name))
         if changed is None:
             yield name, f"commit {commit} is not in this repository"
-        elif changed:
-            files = changed.splitlines()
-            yield name, f"{len(files)} files changed since {commit}, such as {files[0]}"
+            continue
+        # A run stores motions that are better than the best known, and its gaps refer to them.
+        shows_them = _REFERENCE.search(text)
+        motions = [path for path in changed.splitlines() if shows_them and path.startswith(_BEST_KNOWN)]
+        files = [path for path in changed.splitlines() if path not in motions and not _only_text_changed(commit, path)]
+        tasks = _other_references(text) if motions else []
+        reasons = [f"{len(files)} files changed since {commit}, such as {files[0]}"] if files else []
+        reasons += [f"another best-known J of {len(tasks)} tasks, such as {tasks[0]}"] if tasks else []
+        if reasons:
+            yield name, "; ".join(reasons)
 
 
-def _commit(paths: tuple[str, ...]) -> str:
-    """Return the current commit, with a plus if the paths have uncommitted changes; "unknown" without git."""
-    commit, changed = _git("rev-parse", "--short=8", "HEAD"), _git("status", "--porcelain", "--", *paths)
-    return "unknown" if commit is None else f"{commit}+" if changed else commit
+def _only_text_changed(commit: str, file: str) -> bool:
+    """Whether the working copy of a file differs from that of a commit only in comments, docstrings or formatting."""
+    now = ROOT / file
+    if not same_code.is_compared(file) or not now.exists():
+        return False
+    before = _git("show", f"{commit}:{file}")
+    return before is not None and same_code.same_code(file, before, now.read_text(encoding="utf-8"))
+
+
+def _other_references(text: str) -> list[str]:
+    """Return the tasks whose stored best-known J is not the one that a result file shows."""
+    stored = {task: planning.BEST.read(planning.BEST.file_of(task)).total for task, _ in _REFERENCE.findall(text)}
+    shown = {task: float(total) for task, total in _REFERENCE.findall(text)}
+    return [task for task in shown if abs(stored[task] - shown[task]) > _ROUNDED * shown[task]]
+
+
+def _commit(paths: tuple[str, ...], named: str | None = None) -> str:
+    """Return the commit: the current one, with a plus if the paths have uncommitted changes, or the one that is named.
+
+    "unknown" without git and without a name.
+    """
+    commit = _head()
+    if commit is None:
+        return "unknown" if named is None else named[:_SHORT]
+    return f"{commit}+" if _git("status", "--porcelain", "--", *paths) else commit
+
+
+def _head() -> str | None:
+    """Return the current commit; None if the folder of the benchmarks is not the top of a git repository."""
+    if _git("rev-parse", "--show-prefix") != "":  # not a repository, or an export inside of another one
+        return None
+    return _git("rev-parse", f"--short={_SHORT}", "HEAD")
 
 
 def _git(*words: str) -> str | None:
@@ -187,6 +235,9 @@ def _parser() -> argparse.ArgumentParser:
         "--write",
         action="store_true",
         help="write results/SUBJECT.md, with --long results/SUBJECT_long.md, and the index",
+    )
+    parser.add_argument(
+        "--commit", type=_hash, metavar="HASH", help="commit of the code, for results of files without a repository"
     )
     parser.add_argument("--stale", action="store_true", help="list results that are older than the code they measure")
     parser.add_argument(
@@ -211,6 +262,12 @@ def _subject(name: str) -> str:
     if name not in SUBJECTS:
         raise argparse.ArgumentTypeError(f"{name!r} is no benchmark; choose from {', '.join(SUBJECTS)}")
     return name
+
+
+def _hash(text: str) -> str:
+    if not re.fullmatch(f"[0-9a-f]{{{_SHORT},40}}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no commit: {_SHORT} to 40 digits of its hash are needed")
+    return text
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, Hea
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
-DROPS, MIXED, CURVE_DROPS = 200, 76, 200
+DROPS, MIXED, CURVE_DROPS = 80, 57, 200
 """Failures per motion in a normal run, and drops per motion of the curves."""
 DURATIONS = (1.05, 1.1, 1.2)
 """Durations relative to w = 0 at which planners are compared."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,8 +19,9 @@ TITLE = "The default planner: gap to the best known over time"
 QUESTION = "How close to the best-known cost is the default planner over time, and how much do its parts contribute?"
 HEADLINE = "median gap, time_limit=0.3"
 DEPENDS_ON = (*suite.PLANNING, "benchmarks/planning.py", "benchmarks/best_known")
-OTHERS = ("rrt_star", "informed_rrt_star", "bit_star")
-"""Planners to compare with, on the same kernels and with more time."""
+OTHERS, LONG_OTHERS = ("rrt_star", "bit_star"), ("rrt_star", "informed_rrt_star", "bit_star")
+"""Planners to compare with, on the same kernels and with more time, in normal and long runs; at w = 1, the informed
+`rrt_star` finds the motions of the other."""
 OTHERS_WITHIN, OTHERS_TASKS = 0.3, 20
 """Target for the first of them: gap, and number of tasks with at most this gap."""
 WANTED = {(0.3, 50): 0.02, (2.0, 50): 0.005, (1.0, 90): 0.05}
@@ -34,7 +36,8 @@ PARTS = (
 MEASURED = """\
 Calls of `plan(w=1)` with the footprint model, one at a time, with scenes loaded and compiled before. "Gap": relative
 excess of the total cost over the best known, which is the lesser of `best_known/` and the best of this run. Every time
-limit is a separate call that includes verification. A call that is not SOLVED counts as an infinite gap.
+limit is a separate call that includes verification. A call that is not SOLVED counts as an infinite gap. Calls of 1 s
+that `planners` has made in the same process are not repeated.
 """
 
 
@@ -48,10 +51,13 @@ def run(options: suite.Options) -> str:
     tasks = suite.task_names(options)
     limits = sorted({limit for limit, _ in WANTED})
     own = [planning.job(task, seed=seed, seconds=limit) for limit in limits for seed in range(seeds) for task in tasks]
-    parts = [planning.job(task, part) for part in PARTS for task in tasks]
-    others = [planning.job(task, planner, seconds=other_limit, refine=False) for planner in OTHERS for task in tasks]
+    whole, *parts = PARTS
+    fewer = [planning.job(task, part) for part in parts for task in tasks]
+    planners = options.pick(OTHERS, quick=OTHERS, long=LONG_OTHERS)
+    others = [planning.job(task, planner, seconds=other_limit, refine=False) for planner in planners for task in tasks]
     records = _by_limit(own)
-    ablation = list(planning.runs(parts, 1, "its parts"))
+    ablation = [replace(run, planner=whole.label) for run in records[1.0] if run.seed == 0]
+    ablation += planning.runs(fewer, 1, "its parts")
     slow = list(planning.runs(others, options.processes, "others"))
     found = [*records.items(), (1.0, ablation), (other_limit, slow)]
     best, doubts = references(found, tasks, keep=not options.quick)
@@ -72,7 +78,7 @@ def run(options: suite.Options) -> str:
 
 def _by_limit(jobs: list[PlannerJob]) -> Runs:
     """Run the default planner on all jobs, and group the runs by time limit."""
-    done = zip(jobs, planning.runs(jobs, 1, "default planner"), strict=True)  # in order, in one process
+    done = zip(jobs, planning.runs_once(jobs, "default planner"), strict=True)
     found: dict[float, list[Run]] = {}
     for job, run in done:
         found.setdefault(job.seconds, []).append(run)
@@ -95,7 +101,8 @@ def _targets(records: Runs, others: list[Run], best: dict[str, float], other_lim
         )
     solved = [r.solved for runs in records.values() for r in runs]
     yield report.Target(what="verified", wanted="all", measured=f"{sum(solved)} of {len(solved)}", met=all(solved))
-    first = OTHERS[0]
+    planners = _planners(others)
+    first = planners[0]
     near = [gap for gap in (_least(others, best, task, (first,)) for task in best) if gap <= OTHERS_WITHIN]
     yield report.Target(
         what=f"tasks on which {first} is within {report.percent(OTHERS_WITHIN, 0)} after {other_limit:g} s",
@@ -104,9 +111,9 @@ def _targets(records: Runs, others: list[Run], best: dict[str, float], other_lim
         met=len(near) >= OTHERS_TASKS if len(best) >= OTHERS_TASKS else None,
     )
     soon = min(records)
-    closer = [task for task in best if _own(records, best, task) < _least(others, best, task, OTHERS)]
+    closer = [task for task in best if _own(records, best, task) < _least(others, best, task, planners)]
     yield report.Target(
-        what=f"tasks on which {soon:g} s come closer than {other_limit:g} s of the best of {', '.join(OTHERS)}",
+        what=f"tasks on which {soon:g} s come closer than {other_limit:g} s of the best of {', '.join(planners)}",
         wanted="more than half",
         measured=f"{len(closer)} of {len(best)}",
         met=2 * len(closer) > len(best),
@@ -116,6 +123,11 @@ def _targets(records: Runs, others: list[Run], best: dict[str, float], other_lim
 def _own(records: Runs, best: dict[str, float], task: str) -> float:
     """Median gap of the shortest calls over the seeds."""
     return float(np.median(_gaps(records[min(records)], best, task)))
+
+
+def _planners(others: list[Run]) -> tuple[str, ...]:
+    """Names of the other planners, in the order of their runs."""
+    return tuple(dict.fromkeys(run.planner for run in others))
 
 
 def _least(others: list[Run], best: dict[str, float], task: str, planners: Sequence[str]) -> float:
@@ -152,8 +164,8 @@ def _part_table(records: list[Run], best: dict[str, float]) -> str:
 
 
 def _other_table(records: Runs, others: list[Run], best: dict[str, float]) -> str:
-    rows = []
+    rows, planners = [], _planners(others)
     for task in best:
-        gaps = (_own(records, best, task), *(_least(others, best, task, (planner,)) for planner in OTHERS))
+        gaps = (_own(records, best, task), *(_least(others, best, task, (planner,)) for planner in planners))
         rows.append((task, *(report.percent(value) for value in gaps)))
-    return report.table(("task", "default", *OTHERS), rows)
+    return report.table(("task", "default", *planners), rows)

@@ -6,7 +6,6 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -61,10 +60,8 @@ LOST = 0.01
 LONGER = 0.3
 FIRST_WITHIN = 0.005
 GAP = 0.02
-_SIZES = {"normal": (3.0, 1, 2), "quick": (1.5, 1, 2), "long": (10.0, 3, 5)}
+_SIZES = {"normal": (2.0, 1, 2), "quick": (1.5, 1, 2), "long": (10.0, 3, 5)}
 """Upright: duration of a long run [s], number of long runs, number of other seeds."""
-
-_fill = partial(store.fill, processes=1)
 
 
 def run(options: suite.Options) -> str:
@@ -77,19 +74,21 @@ def run(options: suite.Options) -> str:
         )
         wanted = contents.jobs(options)
         have = {kept.job for kept in read_kept(kept_file)}
-        # One process: planning has a limit in seconds and uses two threads.
+        # One process where durations or times are compared: planning has a limit in seconds and uses two threads.
         left = [job for job in wanted if job not in have]
-        _fill(kept_file, left, contents.examine, label="contents", until=began + _CONTENTS * seconds)
+        until = began + _CONTENTS * seconds
+        store.fill(kept_file, left, contents.examine, processes=1, label="contents", until=until)
         motions = held.jobs(options)
         have = {one.job for one in read_held(held_file)}
         until = began + (_CONTENTS + _HELD) * seconds
-        _fill(held_file, [job for job in motions if job not in have], held.examine, label="held", until=until)
+        left = [job for job in motions if job not in have]
+        store.fill(held_file, left, held.examine, processes=options.processes, label="held", until=until)
         groups = upright.names(options)
         done = {figures.name for figures in read_upright(upright_file)}
         names = [name for group in groups.values() for name in group if name not in done]
         long, long_seeds, seeds = _SIZES[size]
         questions = [UprightJob(name=name, seeds=seeds, long=long, long_seeds=long_seeds) for name in names]
-        _fill(upright_file, questions, upright.examine, label="upright", until=began + seconds)
+        store.fill(upright_file, questions, upright.examine, processes=1, label="upright", until=began + seconds)
         asked = set(wanted)
         kept = [x for x in read_kept(kept_file) if x.job in asked]
         gripped = [x for x in read_held(held_file) if x.job in set(motions)]

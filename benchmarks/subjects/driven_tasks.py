@@ -23,7 +23,7 @@ LIMITS = (0.5, 1.0, 2.0, 5.0)
 LONG = 5.0
 """Time limit of the calls whose motions are compared [s]."""
 SEEDS, LONG_SEEDS = 1, 3
-CORRIDORS = 10
+CORRIDORS, LONG_CORRIDORS = 8, 10
 _DRAWN = 2016
 """Seed of the corridors."""
 MEASURED = f"""\
@@ -78,7 +78,7 @@ def run(options: suite.Options) -> str:
     names = [f"{scene}/{task}" for scene in gp.mobile_scenes() for task in gp.load_scene(scene).tasks]
     names = list(suite.chosen(names[:2] if options.quick else names, options.tasks))
     found = [_examined(name, options) for name in names]
-    drawn = [f"corridor {k}" for k in range(options.pick(CORRIDORS, quick=1))]
+    drawn = [f"corridor {k}" for k in range(options.pick(CORRIDORS, quick=1, long=LONG_CORRIDORS))]
     passed = [_passed(name, options) for name in suite.chosen(drawn, options.tasks)]
     parts = [MEASURED, report.targets([*_targets(found), *_corridor_targets(passed)])]
     parts += [report.table(HEADER, [_row(one) for one in found])] if found else []
@@ -158,6 +158,7 @@ def _examined(name: str, options: suite.Options) -> Task:
     scene, seeds = task.scene, range(options.pick(SEEDS, quick=1, long=LONG_SEEDS))
     gp.plan(task.start, task.goal, scene, stop="first", time_limit=30.0)
     first, late, unsolved = [], [], 0
+    known: dict[tuple[float, int], gp.PlanResult] = {}
     for seed in seeds:
         began = time.perf_counter()
         result = gp.plan(task.start, task.goal, scene, stop="first", time_limit=10.0, seed=seed)
@@ -168,10 +169,16 @@ def _examined(name: str, options: suite.Options) -> Task:
             result = gp.plan(task.start, task.goal, scene, time_limit=limit, seed=seed)
             late.append(time.perf_counter() - began - limit)
             unsolved += result.trajectory is None
-    motions = {w: [_motion(task, w, seed, options) for seed in seeds] for w in (0.0, None)}
+            known[limit, seed] = result
+    seconds = options.seconds or options.pick(LONG, quick=1.0)
+    plain = [_planned(task, 0.0, seed, seconds) for seed in seeds]
+    left = [seed for seed in seeds if (seconds, seed) not in known]
+    known |= {(seconds, seed): _planned(task, None, seed, seconds) for seed in left}
+    ours = [known[seconds, seed] for seed in seeds]
+    motions = {w: [result.unwrap() for result in results] for w, results in ((0.0, plain), (None, ours))}
     objective = gp.Objective()
     costs = {w: [gp.evaluate(one, scene, objective) for one in of] for w, of in motions.items()}
-    plain, ours = (float(np.median([cost.total for cost in costs[w]])) for w in (0.0, None))
+    total = _medians({w: [cost.total for cost in of] for w, of in costs.items()})
     return Task(
         name=name,
         first=float(np.median(first)),
@@ -181,13 +188,12 @@ def _examined(name: str, options: suite.Options) -> Task:
         duration=_medians({w: [one.duration for one in of] for w, of in motions.items()}),
         impact=_medians({w: [cost.impact for cost in of] for w, of in costs.items()}),
         others=_medians({w: [_of_others(cost, scene) for cost in of] for w, of in costs.items()}),
-        worse=ours / plain - 1.0,
+        worse=total[1] / total[0] - 1.0,
     )
 
 
-def _motion(task: gp.Task, w: float | None, seed: int, options: suite.Options) -> gp.Trajectory:
-    seconds = options.seconds or options.pick(LONG, quick=1.0)
-    return gp.plan(task.start, task.goal, task.scene, w=w, time_limit=seconds, seed=seed).unwrap()
+def _planned(task: gp.Task, w: float | None, seed: int, seconds: float) -> gp.PlanResult:
+    return gp.plan(task.start, task.goal, task.scene, w=w, time_limit=seconds, seed=seed)
 
 
 def _medians(of: dict[float | None, list[float]]) -> tuple[float, float]:

@@ -53,8 +53,8 @@ RATIO = (0.9, 1.1)
 RATIO_OPTIMISED = (0.8, 1.25)
 """Target on optimised motions, for each of `HIT`: planners may exploit hits that the model underrates."""
 DROPS, SCENES = 1000, 6
-DROPS_UNSEEN = 30
-"""Drops along each motion in the unseen scenes."""
+DROPS_UNSEEN, LONG_DROPS_UNSEEN = 20, 30
+"""Drops along each motion in the unseen scenes, in normal and long runs."""
 HIT = ("things", "furniture", "floor")
 """Kinds of hit entities, by class; people and animals count as things."""
 VARIANTS, UNSEEN = "variants", "unseen"
@@ -123,7 +123,7 @@ def drop_unseen(options: suite.Options) -> tuple[list[Failures], list[str]]:
     """Simulate drops in the scenes of `unseen/`, as `drop_all` does."""
     scenes = options.pick(suite.unseen_scenes(), quick=suite.unseen_scenes()[:1])
     kinds = options.pick(KINDS, quick=KINDS[1:2])
-    n = options.pick(DROPS_UNSEEN, quick=2)
+    n = options.pick(DROPS_UNSEEN, quick=2, long=LONG_DROPS_UNSEEN)
     jobs = [
         job
         for k, name in enumerate(scenes)

@@ -55,7 +55,7 @@ class Timing:
 def run(options: suite.Options) -> str:
     """Measure everything."""
     # Multiples of 19 rollouts cover all faults.
-    n_drops, n_mixed, loop, rounds = options.pick((256, 190, 38, 5), quick=(32, 19, 19, 1))
+    n_drops, n_mixed, loop, rounds = options.pick((256, 190, 38, 3), quick=(32, 19, 19, 1), long=(256, 190, 38, 5))
     execution = prepared()
     drops = make_requests([GripperFailure()], execution.duration, n=n_drops)
     mixed = make_requests([fault() for fault in faults().values()], execution.duration, n=n_mixed)

@@ -40,9 +40,9 @@ STORE = Path(__file__).resolve().parents[1] / "job_runs"
 W = 1.0
 """Safety weight of all jobs: one unit of expected severity is worth 1 rad of joint motion."""
 VARIANTS, LONG_VARIANTS = 3, 6
-FAILURES = 400
+FAILURES, LONG_FAILURES = 200, 400
 LARGER_VARIANTS, LONG_LARGER_VARIANTS = 3, 6
-LARGER_FAILURES = 200
+LARGER_FAILURES = 100
 FIRST, EIGHT = 3.0, 10.0
 """Wanted times to a first complete plan with at most three, and with eight objects [s]."""
 LESS, LONGER = 1.5, 0.15
@@ -65,7 +65,7 @@ stowed beside a child who walks along the counter (6).
 
 Each search of a job plans the same number of actions: {ACTIONS}, or {ACTIONS_EACH} per object if that is more.
 FailBench executes every job with {FAILURES} failures of the gripper (failure, weak grip, stuck), in larger jobs
-{LARGER_FAILURES} (`--long`: {FAILURES}), uniform over the time of the job. Harm per job: failures come per hour. "x
+{LARGER_FAILURES} (`--long`: {LONG_FAILURES}), uniform over the time of the job. Harm per job: failures come per hour. "x
 less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation, since it moves into
 the guest of `person`, who pushes it aside, or it harms something. "None": no sequence was found over the sampled grasps
 and places.
@@ -110,10 +110,12 @@ def _wanted(options: suite.Options) -> list[Run]:
     if options.quick:
         return [Run(job="order", number=0, w=W, failures=20)]
     count = options.pick(VARIANTS, quick=1, long=LONG_VARIANTS)
-    small = [Run(job=name, number=k, w=W, failures=FAILURES) for k in range(count) for name in KINDS]
+    failures = options.pick(FAILURES, quick=0, long=LONG_FAILURES)
+    small = [Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in KINDS]
     count = options.pick(LARGER_VARIANTS, quick=0, long=LONG_LARGER_VARIANTS)
-    failures = options.pick(LARGER_FAILURES, quick=0, long=FAILURES)
-    return [*small, *(Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in LARGER)]
+    failures = options.pick(LARGER_FAILURES, quick=0, long=LONG_FAILURES)
+    larger = [Run(job=name, number=k, w=W, failures=failures) for k in range(count) for name in LARGER]
+    return [*larger, *small]  # the longest first, so that no process waits for one of them in the end
 
 
 def _read(file: Path) -> list[Measured]:

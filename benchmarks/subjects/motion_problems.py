@@ -93,7 +93,7 @@ def run(options: suite.Options) -> str:
     if given:
         problems, origin = gp.load_problems(given), f"The problems are those of `{Path(given).name}`."
     else:
-        problems, origin = _own(2 if options.quick else 30, options), f"Own problems, seed {SEED}."
+        problems, origin = _own(options.pick(20, quick=2, long=30), options), f"Own problems, seed {SEED}."
     seeds = 2 if options.quick else 5
     jobs = [(problem, seeds, i % LONG_EVERY == 0) for i, problem in enumerate(problems)]
     findings = list(suite.spread(examine, jobs, 1, "motion problems"))

@@ -29,7 +29,7 @@ included.
 def run(options: suite.Options) -> str:
     """Run the default planner alone, then all planners; better motions than the best known are stored."""
     seeds = 1
-    limit, default_seeds = options.pick((1.0, 4), quick=(0.3, 1), long=(5.0, 10))
+    limit, default_seeds = options.pick((1.0, 2), quick=(0.3, 1), long=(5.0, 10))
     limit = options.seconds or limit
     tasks = suite.task_names(options)
     jobs = [
@@ -40,7 +40,7 @@ def run(options: suite.Options) -> str:
     ]
     default = [planning.job(task, seed=seed) for seed in range(default_seeds) for task in tasks]
     # One process: the default planner gets the whole machine.
-    own = list(planning.runs(default, 1, "default planner"))
+    own = planning.runs_once(default, "default planner")
     table = list(planning.runs(jobs, options.processes, "planners"))
     best, doubts = references([(1.0, own), (limit, table)], tasks, keep=not options.quick)
     parts = [

@@ -99,6 +99,8 @@ RECOVERIES: Mapping[str, Controller] = {
     "replan after 0.5 s": Controller(PLAN, ReplanOnFailure(), 0.5, whole=True),
 }
 ALL: Mapping[str, Controller] = CONTROLLERS | RECOVERIES
+LATE = ("stop after 0.5 s", "replan after 0.5 s")
+"""Recoveries of long runs only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +151,8 @@ def _wanted(options: suite.Options) -> int:
 def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, until: float) -> None:
     """Do jobs, round by round over controllers and tasks, until the time is over."""
     have = {(done.task, done.controller, done.block) for done in map(read, read_lines(file))}
-    wanted = [(task, name, block) for block in range(blocks) for task in tasks for name in ALL]
+    names = [name for name in ALL if options.long or name not in LATE]
+    wanted = [(task, name, block) for block in range(blocks) for task in tasks for name in names]
     jobs = [
         PolicyJob(task=task, controller=name, block=block, faults=(SEVERE,))
         for task, name, block in wanted

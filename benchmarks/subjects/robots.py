@@ -23,22 +23,35 @@ TITLE = "Robots from URDF"
 QUESTION = "Which robots from public packages load, and can motions be planned for them?"
 HEADLINE = "robots with a motion"
 DEPENDS_ON = (*suite.PLANNING, "benchmarks/package_robots.py", "benchmarks/exact_ompl.py")
-CONFIGURATIONS, QUERIES = 2000, 50
-ASKED, SECONDS, LONG_SECONDS = 10, 4.0, 10.0
-"""Number of unsolved queries that OMPL gets, and its time limit in normal and long runs [s]."""
+CONFIGURATIONS = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much is asked of each robot."""
+
+    queries: int
+    asked: int
+    """Number of unsolved queries that OMPL gets."""
+    seconds: float
+    """Time limit of OMPL [s]."""
+
+
+NORMAL = Sizes(queries=30, asked=5, seconds=4.0)
+QUICK, LONG = Sizes(queries=30, asked=5, seconds=1.0), Sizes(queries=50, asked=10, seconds=10.0)
 SOON, CALLED = 3.0, 0.95
 """Targets: time to a first motion without caches [s], share of free configurations that the kernels call free."""
-MEASURED = f"""\
+MEASURED = """\
 Models of the packages `example-robot-data` 6.0.0, `airo-models` 0.0.12 (UR5e), `rtb-data` 2.0.0 (iiwa 14), `robosuite`
 1.5.2 (MJCF) and `gymnasium-robotics` 1.4.2 (Fetch), unchanged except that Fetch's base is fixed. The robots stand
 alone; only Fetch has a floor and a table. The collision filters of robosuite let most links of an arm pass through each
 other, so its models are loaded with `self_collision="links"`. "Load": read the model, find links that always touch, and
 divide meshes of URDFs whose hulls touch too often. "Compile": cover the links with spheres. Both run without caches;
-"again" is both with the caches of an earlier process. Of {CONFIGURATIONS} configurations drawn uniformly within the
+"again" is both with the caches of an earlier process. Of {configurations} configurations drawn uniformly within the
 limits, "free" are those free by exact geometry on convex hulls, "called free" is the share of these that the kernels
-call free, and "wrongly" the share of the others that the kernels call free. Queries: {QUERIES} pairs of free
-configurations, w = 0, first motion within 1 s, all verified. "OMPL": number of at most {ASKED} unsolved queries for
-which OMPL's RRT-Connect finds a path by exact geometry alone, within {SECONDS:g} s ({LONG_SECONDS:g} s in a long run).
+call free, and "wrongly" the share of the others that the kernels call free. Queries: {queries} pairs of free
+configurations, w = 0, first motion within 1 s, all verified. "OMPL": number of at most {asked} unsolved queries for
+which OMPL's RRT-Connect finds a path by exact geometry alone, within {seconds:g} s.
 Without one, a path may not exist: the upper arm of a UR cannot pass its own foot, so its shoulder angle (two turns) has
 three disconnected ranges. "First": median time to a motion. "Pairs": pairs of links that may not touch. Robots that
 cannot be read are listed below the table. Targets are for UR5e, UR5, iiwa, Kinova3, Panda, SO-101, Fetch and TIAGo.
@@ -72,9 +85,10 @@ def run(options: suite.Options) -> str:
     if not there:
         raise report.NotMeasured(f"none of the packages is installed; {package_robots.FOLDER} can name a folder")
     rows, unread, wanted = [], [], {}
+    sizes = options.pick(NORMAL, quick=QUICK, long=LONG)
     for robot, load in there[: options.pick(len(there), quick=1)]:
         try:
-            one = examine(load, seconds=options.pick(SECONDS, quick=1.0, long=LONG_SECONDS))
+            one = examine(load, sizes)
         except gp.GracefulPlanError as error:
             unread.append(f"{robot.name}: {type(error).__name__}, {error}")
             continue
@@ -84,7 +98,7 @@ def run(options: suite.Options) -> str:
             robot.name, one.joints, one.pairs, report.quantity(one.load, " s"), report.quantity(one.compile, " s"),
             report.quantity(one.again, " s"), one.spheres,
             report.percent(one.free), report.percent(one.called), report.percent(one.wrongly),
-            f"{one.solved} of {QUERIES}", f"{one.ompl} of {one.asked}", report.quantity(1e3 * one.first, " ms"),
+            f"{one.solved} of {sizes.queries}", f"{one.ompl} of {one.asked}", report.quantity(1e3 * one.first, " ms"),
         ])  # fmt: skip
     header = (
         "robot",
@@ -102,7 +116,13 @@ def run(options: suite.Options) -> str:
         "first",
     )
     others = f"Not read: {'; '.join(unread)}.\n" if unread else ""
-    return "\n".join([MEASURED, report.targets(_targets(wanted)), report.table(header, rows), others])
+    return "\n".join([_measured(sizes), report.targets(_targets(wanted)), report.table(header, rows), others])
+
+
+def _measured(sizes: Sizes) -> str:
+    return MEASURED.format(
+        configurations=CONFIGURATIONS, queries=sizes.queries, asked=sizes.asked, seconds=sizes.seconds
+    )
 
 
 def _targets(robots: dict[str, RobotFigures]) -> Iterator[report.Target]:
@@ -135,8 +155,8 @@ def _cache_in(folder: str) -> Generator[None]:
             os.environ["XDG_CACHE_HOME"] = before
 
 
-def examine(load: Callable[[], gp.Scene], seconds: float = SECONDS) -> RobotFigures:
-    """Load a robot and plan for it; OMPL has `seconds` for each query that is not solved."""
+def examine(load: Callable[[], gp.Scene], sizes: Sizes = NORMAL) -> RobotFigures:
+    """Load a robot and plan for it; OMPL gets the queries that are not solved."""
     with tempfile.TemporaryDirectory() as empty, _cache_in(empty):
         started = time.perf_counter()
         scene = load()
@@ -152,7 +172,7 @@ def examine(load: Callable[[], gp.Scene], seconds: float = SECONDS) -> RobotFigu
     touched = {touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=False)}
     free = np.array([k not in touched for k in range(len(q))])
     called = compiled.kernels.free(q)
-    pairs = q[free][: 2 * QUERIES].reshape(-1, 2, q.shape[1])
+    pairs = q[free][: 2 * sizes.queries].reshape(-1, 2, q.shape[1])
     unsolved, first = [], []
     for start, goal in pairs:
         begun = time.perf_counter()
@@ -172,6 +192,6 @@ def examine(load: Callable[[], gp.Scene], seconds: float = SECONDS) -> RobotFigu
         wrongly=float(called[~free].mean()) if (~free).any() else 0.0,
         solved=len(pairs) - len(unsolved),
         first=float(np.median(first)),
-        asked=len(unsolved[:ASKED]),
-        ompl=sum(finds_path(start, goal, scene, seconds) for start, goal in unsolved[:ASKED]),
+        asked=len(unsolved[: sizes.asked]),
+        ompl=sum(finds_path(start, goal, scene, sizes.seconds) for start, goal in unsolved[: sizes.asked]),
     )

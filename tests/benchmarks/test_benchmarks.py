@@ -45,6 +45,21 @@ def test_every_subject_has_a_title_a_question_and_a_headline(name):
     assert subject.QUESTION.endswith("?") and subject.MEASURED.strip()
 
 
+def test_runs_that_two_subjects_report_are_made_once(monkeypatch):
+    made = []
+
+    def runs(jobs, processes, label):
+        made.extend(jobs)
+        return iter([Run(problem=job.problem.name, planner="auto", seed=job.seed, status="SOLVED") for job in jobs])
+
+    monkeypatch.setattr(planning, "_DONE", {})
+    monkeypatch.setattr(planning, "runs", runs)
+    jobs = [planning.job(TASK, seed=seed) for seed in range(3)]
+    assert [run.seed for run in planning.runs_once(jobs[1:], "one")] == [1, 2]
+    assert [run.seed for run in planning.runs_once(jobs, "all")] == [0, 1, 2]
+    assert made == [jobs[1], jobs[2], jobs[0]]
+
+
 # --- best known motions --------------------------------------------------------------------------------------------
 
 
