@@ -65,10 +65,10 @@ stowed beside a child who walks along the counter (6).
 
 Each search of a job plans the same number of actions: {ACTIONS}, or {ACTIONS_EACH} per object if that is more.
 FailBench executes every job with {FAILURES} failures of the gripper (failure, weak grip, stuck), in larger jobs
-{LARGER_FAILURES} (`--long`: {LONG_FAILURES}), uniform over the time of the job. Harm per job: failures come per hour. "x
-less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation, since it moves into
-the guest of `person`, who pushes it aside, or it harms something. "None": no sequence was found over the sampled grasps
-and places.
+{LARGER_FAILURES} (`--long`: {LONG_FAILURES}), uniform over the time of the job. Harm per job: failures come per hour.
+"x less": harm over that of "{OURS}". "Refused": the healthy arm cannot follow a motion in simulation, since it moves
+into the guest of `person`, who pushes it aside, or it harms something. "None": no sequence was found over the sampled
+grasps and places.
 """
 
 
