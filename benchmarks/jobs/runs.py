@@ -133,7 +133,7 @@ def first_plan(one: Variant, w: float) -> tuple[float, float]:
     """Return wall and processor time to the first complete plan [s], including the choices; infinite without one."""
     started, busy = time.perf_counter(), time.process_time()
     search = _search(one, w, grasps=4)
-    search.motions.limited = search.motions.hurried = True
+    search.motions.limited = True
     search.run(lambda _: search.best is not None or time.perf_counter() - started > 60.0)
     if search.best is None:
         return np.inf, np.inf

@@ -161,12 +161,10 @@ class JobSession:
         motions = search.motions
         limited = np.isfinite(budget.time_limit)
         motions.limited, motions.cancelled = limited and iterations is None, budget.cancelled
-        motions.hurried = True
         motions.left = lambda: budget.time_limit - budget.elapsed
         trace: list[TracePoint] = []
 
         def improved(node: Node) -> None:
-            motions.hurried = False
             cost = deeds_cost(node.deeds, self._objective.w)
             trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
 

@@ -48,8 +48,9 @@ _ITERATIONS = 6
 """Iterations of `plan` for a motion of a candidate sequence."""
 _AT_MOST = 4000
 """Iterations in which `plan` has to find a first motion, if it finds none with `_ITERATIONS`."""
-_SECONDS, _HURRIED = 0.25, 0.08
-"""Time limits of `plan` for such a motion if the job has a time limit [s]; the second until a sequence is complete."""
+_SECONDS = 0.08
+"""Time limit of `plan` for such a motion if the job has a time limit [s]. With 0.25 s, a search compares a third as many
+sequences, and the cost after 20 s is 3 % higher on average (12 jobs); with 0.04 s, it is 13 % higher in one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +106,6 @@ class Motions:
         seed: Seed of all random numbers.
         speed: Fraction of the velocity limits to use.
         limited: Whether motions get little time instead of few iterations.
-        hurried: Whether they get less time still, because no sequence is complete yet.
         left: Time that is left of the job's time limit [s].
         cancelled: As in `plan`.
     """
@@ -119,7 +119,6 @@ class Motions:
     seed: int = 0
     speed: float = 1.0
     limited: bool = False
-    hurried: bool = False
     left: Callable[[], float] = lambda: np.inf
     cancelled: Callable[[], bool] | None = None
     seconds: dict[str, float] = field(
@@ -345,7 +344,7 @@ class Motions:
 
     @property
     def _effort(self) -> dict[str, Any]:
-        limit = max(min(_HURRIED if self.hurried else _SECONDS, self.left()), 0.02)
+        limit = max(min(_SECONDS, self.left()), 0.02)
         return {"time_limit": limit} if self.limited else {"iterations": _ITERATIONS}
 
     def _plan(
