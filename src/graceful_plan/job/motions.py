@@ -49,8 +49,11 @@ _ITERATIONS = 6
 _AT_MOST = 4000
 """Iterations in which `plan` has to find a first motion, if it finds none with `_ITERATIONS`."""
 _SECONDS = 0.08
-"""Time limit of `plan` for such a motion if the job has a time limit [s]. With 0.25 s, a search compares a third as many
-sequences, and the cost after 20 s is 3 % higher on average (12 jobs); with 0.04 s, it is 13 % higher in one."""
+"""Time limit of `plan` for such a motion if the job has a time limit [s].
+
+With 0.25 s, a search compares a third as many sequences, and the cost after 20 s is 3 % higher on average (12 jobs);
+with 0.04 s, it is 13 % higher in one.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
