@@ -39,8 +39,9 @@ failure and an entity: did one of the listed components touch the entity within 
 after a gripper failure. "Spill, held": contents after arm faults that spill some of them; the state does not show
 whether they do. "Collapse": body after a power loss. "Joint": body and carried object after the shutdown of one joint.
 "Stuck": the same after one joint has seized. "Stray": the same after sensor faults. The model gets the kind of failure,
-the joint for single-joint faults, and the planned motion. "Skill": Brier skill over the base rate of the same events.
-"Ratio": predicted over observed hits. Intervals are 95 %, from resampled whole motions.
+the joint for single-joint faults, and the planned motion. A weak grip lets go about 0.3 s after its onset, so the model
+predicts from the planned state at that time. "Skill": Brier skill over the base rate of the same events. "Ratio":
+predicted over observed hits. Intervals are 95 %, from resampled whole motions.
 """
 SEED = 3111
 LEAST_SKILL = 0.4

@@ -1,7 +1,12 @@
 """Outcomes of failures, event by event, for fitting and evaluating failure models.
 
-Each rollout has the configuration and velocity at the onset and the fault. For every entity it tells whether body,
-carried object or contents touched it. Later touches among entities, and touches of the healthy run, do not count.
+Each rollout has the fault, and the configuration and velocity that models predict its outcome from. For every entity it
+tells whether body, carried object or contents touched it. Later touches among entities, and touches of the healthy run,
+do not count.
+
+Models predict from the planned state at the onset. A grip that weakens along a ramp is the exception: the object stays
+in the fingers until little force is left, and models of drops predict from the state of the release. That state is the
+planned one at the end of the ramp.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ import numpy as np
 
 from failbench.basics.errors import ExecutionRefused
 from failbench.calibrations.varied import Variation, bounce, spun
-from failbench.fault.end_effector import GripperFailure
+from failbench.fault.end_effector import GripperFailure, WeakGrip
 from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
 from failbench.rollouts.execution import Execution, execute
@@ -52,9 +57,9 @@ class Failures:
     | faults     | labels of the faults, see `fault_label`                               | fault              |
     | counted    | whether the pair counts: False if it touches in the healthy run       | component entity   |
     | fault      | fault of each rollout, as an index into `faults`                      | n                  |
-    | q          | configuration at the onset [rad or m]                                 | n nq               |
-    | qd         | velocity at the onset                                                 | n nq               |
-    | ahead      | planned configurations `AHEAD` after the onset [rad or m]             | n step nq          |
+    | q          | planned configuration at the onset, or at the release [rad or m]      | n nq               |
+    | qd         | planned velocity at that time                                         | n nq               |
+    | ahead      | planned configurations `AHEAD` after that time [rad or m]             | n step nq          |
     | hit        | whether the component touched the entity                              | n component entity |
     | dropped    | whether the object left the gripper                                   | n                  |
     | spilled    | lost fraction of the contents                                         | n                  |
@@ -83,7 +88,7 @@ class Failures:
         return len(self.q)
 
     def states(self, scene: Scene) -> StateBatch:
-        """Return the states at the onsets, in the scene of the failures."""
+        """Return the states that models predict from, in the scene of the failures."""
         found = moving_batch(scene, self.q, self.qd)
         return StateBatch(scene, self.q, found.direction, found.speed, ahead=self.ahead)
 
@@ -105,6 +110,14 @@ class Failures:
 def fault_label(fault: Fault) -> str:
     """Return the label of a fault: its name, and its targets if they are set."""
     return " ".join((fault.NAME, *fault.targets))
+
+
+def release_delay(fault: Fault) -> float:
+    """Return the time from the onset of a fault to the state that models predict from [s]; 0 except for weak grips.
+
+    Fingers hold with a multiple of the weight of household objects, so friction gives way near the end of the ramp.
+    """
+    return fault.ramp if isinstance(fault, WeakGrip) else 0.0
 
 
 def simulate_failures(
@@ -145,8 +158,8 @@ def simulate_failures(
     rollouts = run_rollouts(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
     # The state that a planner knows: the planned one, not the one that the servos reach.
-    onset = motion.t[0] + np.array([rollout.onset for rollout in completed])
-    state = motion.at(onset)
+    moment = motion.t[0] + np.array([rollout.onset + release_delay(rollout.job.fault) for rollout in completed])
+    state = motion.at(moment)
     names = tuple(dict.fromkeys(fault_label(fault) for fault in faults))
     components, entities = tuple(scene.components), tuple(scene.entities)
     return Failures(
@@ -164,7 +177,7 @@ def simulate_failures(
         fault=np.array([names.index(fault_label(rollout.job.fault)) for rollout in completed], dtype=np.int64),
         q=state.q,
         qd=state.qd,
-        ahead=motion.at(onset[:, None] + AHEAD).q,
+        ahead=motion.at(moment[:, None] + AHEAD).q,
         hit=_hits(completed, components, entities),
         dropped=np.array([rollout.dropped for rollout in completed], dtype=bool),
         spilled=np.array([rollout.spilled for rollout in completed], dtype=float),

@@ -10,7 +10,7 @@ import graceful_plan as gp
 from failbench.calibrations import failures
 from failbench.calibrations.failure_jobs import MotionKind, make_motion
 from failbench.calibrations.failures import Failures
-from failbench.fault.registry import GripperFailure, PowerLoss
+from failbench.fault.registry import GripperFailure, PowerLoss, WeakGrip
 from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import make_requests
@@ -71,6 +71,17 @@ def test_failures_of_one_kind_are_picked_from_many(task: gp.Task, motion: gp.Tra
     assert np.array_equal(hit, falls.hit[:, [many.components.index(c) for c in ("body", "carried")]].any(axis=1))
     assert hit.shape == (8, len(many.entities)) and counted.shape == (len(many.entities),)
     assert falls.hit[:, many.components.index("body")].any()
+
+
+def test_a_weakening_grip_is_predicted_from_the_state_of_the_release(task: gp.Task, motion: gp.Trajectory) -> None:
+    opened, slips, sudden = (
+        failures.simulate_failures(motion, task.scene, [fault], n=6, seed=5)
+        for fault in (GripperFailure(), WeakGrip(ramp=0.3), WeakGrip(ramp=0.0))
+    )
+    np.testing.assert_allclose(slips.q, opened.ahead[:, 2], atol=1e-9)  # 0.3 s after the onset
+    np.testing.assert_allclose(slips.ahead[:, 0], opened.ahead[:, 3], atol=1e-9)
+    assert not np.allclose(slips.qd, opened.qd)
+    assert np.array_equal(sudden.q, opened.q) and np.array_equal(sudden.qd, opened.qd)
 
 
 def test_drops_repeat_and_survive_a_file(
