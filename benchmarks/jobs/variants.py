@@ -10,7 +10,7 @@ import numpy as np
 
 import graceful_plan as gp
 from graceful_plan.core.frames import pose_matrix
-from graceful_plan.job.placing import occupant, overlapping
+from graceful_plan.job.placing import APART, nearer, occupant, overlapping
 
 FOLDER = Path(__file__).parent
 SEED = 42
@@ -151,9 +151,9 @@ def variant(name: str, number: int) -> Variant:
             continue
         if overlapping(drawn, bodies) is None:
             break
-    while True:  # until no two places overlap
+    while True:  # until places are as far apart as those that a job samples itself
         goals = {body: np.add(at, [*rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2), 0.0]) for body, at in kind.goals.items()}
-        if overlapping(drawn.edit(move=goals), list(goals)) is None:
+        if nearer(drawn.edit(move=goals), list(goals), APART) is None:
             break
     factors = {body: float(FACTOR ** rng.uniform(-1.0, 1.0)) for body in kind.precious}
     table = scene.notes.severity

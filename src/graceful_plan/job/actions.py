@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, groupby
+from itertools import chain, groupby, islice
 from typing import ClassVar, final
 
 import numpy as np
@@ -21,9 +21,15 @@ from graceful_plan.job.grasping import Grasp
 from graceful_plan.job.job_state import SAME, JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal
 from graceful_plan.path import is_real
+from graceful_plan.query.candidates.descents import TRACKING_CLEARANCE
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+
+_FARTHER = 0.002
+"""Distance by which a choice has to keep farther from other things to replace one that keeps too little [m]."""
+_ROUNDS = 2
+"""Number of grasps among which such a choice is sought, in multiples of those that are searched at once."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,12 +185,40 @@ class Transport(Action):
     def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         """Pick the object up, carry it, put it down."""
         assert isinstance(choice, Carry)
+        if (farther := self._farther(state, choice, motions)) is not None:
+            return farther
         found = motions.carried(state.loaded(self.name, self.slots), self.name, choice.grasp, choice.to)
         if isinstance(found, Refusal):
             return found
         before, after, then = found
         arrived = self._arrived(state, choice.to).after(then.q, then.clock - state.clock)
         return Deed(steps=[("pick", self.name, before), (self.kind, self.name, after)], state=arrived)
+
+    def _farther(self, state: JobState, choice: Carry, motions: Motions) -> Refusal | None:
+        """Refuse a choice that comes close to other things if another one is possible and keeps farther away."""
+        now = state.loaded(self.name, self.slots)
+        kept, nearest = self._kept(now, choice, motions, TRACKING_CLEARANCE)
+        if not 0.0 < kept < TRACKING_CLEARANCE:  # of a choice that collides, the reason is told elsewhere
+            return None
+        wanted = min(kept + _FARTHER, TRACKING_CLEARANCE)
+        for group in islice(self.groups(state, motions), _ROUNDS * motions.n_grasps):
+            for other in group:
+                if other.grasp is choice.grasp and other.to == choice.to:
+                    continue
+                has, _ = self._kept(now, other, motions, wanted)
+                if has >= wanted and not isinstance(motions.carried(now, self.name, other.grasp, other.to), Refusal):
+                    told = f"it comes within {1e3 * kept:.2g} mm of {nearest!r}, and another choice keeps farther away"
+                    return Refusal(name=self.name, why=f"{self.name!r}: {told}")
+        return None
+
+    def _kept(self, now: JobState, choice: Carry, motions: Motions, least: float) -> tuple[float, str]:
+        """Return the distance that a choice keeps from other things, and the nearest; 0 if it is not possible."""
+        found = motions.nearness(now, self.name, choice.grasp, choice.to, least)
+        if isinstance(found, Refusal):
+            return 0.0, ""
+        # Where the object may stand in one place only, nothing else can be chosen.
+        standing = found.standing if len(self.to) > 1 else np.inf
+        return min((found.moving, found.passed), (standing, found.beside))
 
     def outlook(self, state: JobState, choice: Hashable, motions: Motions) -> Outlook | Refusal | None:
         """Return the cost of the straight motions at both ends and of straight lines in joint space between them."""

@@ -15,6 +15,7 @@ from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.job.actions import Action, Clear, Clearing, CloseLid, Closing, Hauling, Load, Loading, Transport
 from graceful_plan.job.bounds import sequence_bound
+from graceful_plan.job.close_passages import close_passages
 from graceful_plan.job.job_result import JobResult, JobStatus, Step
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.jobs import Job, Where
@@ -201,6 +202,7 @@ class JobSession:
         return JobResult(
             status=JobStatus.SOLVED,
             steps=chosen.steps,
+            detail=close_passages(chosen.steps),
             cost=cost,
             lower_bound=min(cost.total, bound),
             exhaustive=search.exhausted and not search.unsure,

@@ -86,6 +86,7 @@ class JobResult:
     exhaustive: bool = False
     """Whether all sequences over the choices at hand were compared."""
     detail: str = ""
+    """Why there is no solution; of a solved job, the things so close that a healthy arm may touch them."""
     trace: tuple[TracePoint, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     """Other orders and actions that the search rejected, and why: the complete ones first, the cheapest first."""
@@ -143,7 +144,8 @@ class JobResult:
             return f"{self.status.name}: {self.status.value} {self.detail}".strip()
         gap = "compared with all sequences" if self.exhaustive else f"at least {self.lower_bound:.3g} is needed"
         head = f"cost {self.cost.total:.3g} ({gap}), {self.duration:.1f} s"
-        return "\n".join([head, *(f"  {step}" for step in self.steps), *self._times()])
+        detail = [f"  {self.detail}"] if self.detail else []
+        return "\n".join([head, *(f"  {step}" for step in self.steps), *detail, *self._times()])
 
     def _times(self) -> list[str]:
         """Return a line with the shares of the planning time."""

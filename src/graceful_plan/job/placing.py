@@ -27,7 +27,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
-_APART = 0.01
+APART = 0.01
 """Least distance of a placed object from other things [m], so that fingers and errors of control have space."""
 _LOW = 0.005
 """Height above the underside of an object up to which its geoms carry it [m]."""
@@ -113,7 +113,7 @@ def placements(
         X_WO = thing.standing(top.sample(rng), 2.0 * np.pi * rng.random())
         feet = thing.feet @ X_WO[:3, :3].T + X_WO[:3, 3]
         inside = region is None or bool(((feet >= region[0]) & (feet <= region[1]))[:, :2].all())
-        if inside and bool(top.contains(feet).all()) and thing.blocker(X_WO, top.body, _APART) is None:
+        if inside and bool(top.contains(feet).all()) and thing.blocker(X_WO, top.body, APART) is None:
             found.append(X_WO)
     return np.array(found).reshape(-1, 4, 4)
 
@@ -141,20 +141,25 @@ def touched(scene: Scene, name: str) -> set[str]:
     near = {
         other
         for other, g in product(thing.others, thing.geoms)
-        if mujoco.mj_geomDistance(thing.model, thing.data, g, other, _APART, None) < _TOUCHING
+        if mujoco.mj_geomDistance(thing.model, thing.data, g, other, APART, None) < _TOUCHING
     }
     return {thing.model.body(thing.model.geom_bodyid[other]).name for other in near} - {""}
 
 
-def overlapping(scene: Scene, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return the first two of some objects that overlap where they stand in a scene; None if all are apart."""
+def nearer(scene: Scene, names: Sequence[str], than: float) -> tuple[str, str] | None:
+    """Return the first two of some objects that are nearer to each other than a distance [m]; None if there are none."""
     data = scene.data_at(scene.home_qpos[scene.qpos_adr])
     geoms = {name: Placed(scene, name).geoms for name in names}
     for first, second in combinations(names, 2):
         for a, b in product(geoms[first], geoms[second]):
-            if mujoco.mj_geomDistance(scene.model, data, a, b, _APART, None) < -_TOUCHING:
+            if mujoco.mj_geomDistance(scene.model, data, a, b, abs(than) + APART, None) < than:
                 return first, second
     return None
+
+
+def overlapping(scene: Scene, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the first two of some objects that overlap where they stand in a scene; None if all are apart."""
+    return nearer(scene, names, -_TOUCHING)
 
 
 class _Standing(Placed):
@@ -191,7 +196,7 @@ class _Standing(Placed):
             if body == but:
                 continue
             for g in self.geoms:
-                if mujoco.mj_geomDistance(self.model, self.data, g, other, abs(apart) + _APART, None) < apart:
+                if mujoco.mj_geomDistance(self.model, self.data, g, other, abs(apart) + APART, None) < apart:
                     return body
         return None
 
