@@ -147,7 +147,7 @@ def touched(scene: Scene, name: str) -> set[str]:
 
 
 def nearer(scene: Scene, names: Sequence[str], than: float) -> tuple[str, str] | None:
-    """Return the first two of some objects that are nearer to each other than a distance [m]; None if there are none."""
+    """Return the first two of some objects that are nearer to each other than a distance [m]; None if none are."""
     data = scene.data_at(scene.home_qpos[scene.qpos_adr])
     geoms = {name: Placed(scene, name).geoms for name in names}
     for first, second in combinations(names, 2):
