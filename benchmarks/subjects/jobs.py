@@ -42,7 +42,7 @@ W = 1.0
 VARIANTS, LONG_VARIANTS = 3, 6
 FAILURES, LONG_FAILURES = 200, 400
 LARGER_VARIANTS, LONG_LARGER_VARIANTS = 3, 6
-LARGER_FAILURES = 100
+LARGER_FAILURES = 200
 FIRST, EIGHT = 3.0, 10.0
 """Wanted times to a first complete plan with at most three, and with eight objects [s]."""
 LESS, LONGER = 1.5, 0.15
