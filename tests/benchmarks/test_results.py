@@ -36,6 +36,24 @@ def test_results_cited_by_the_sources_exist():
     assert [name for name in cited if not (ROOT / name).exists()] == []
 
 
+QUOTED = re.compile(r"^\| ([^|]+) \| ([^|]+) \| \[[^]]+\]\(\.\./benchmarks/results/(\w+)\.md\) \|$", flags=re.MULTILINE)
+NUMBER = re.compile(r"(?<![\w.])\d+(?:,\d{3})*(?:\.\d+)?")
+
+
+@pytest.mark.parametrize(
+    ("what", "figures", "name"), QUOTED.findall((ROOT / "docs" / "index.md").read_text(encoding="utf-8"))
+)
+def test_figures_of_the_docs_are_in_the_results_that_they_cite(what: str, figures: str, name: str):
+    result = (report.RESULTS / f"{name}.md").read_text(encoding="utf-8").partition("- Machine")[2]
+    known = [float(x.replace(",", "")) for x in NUMBER.findall(result)]
+    missing = [
+        x
+        for x in NUMBER.findall(figures)
+        if not any(abs(float(x.replace(",", "")) - k) <= 0.5001 * 10.0 ** -len(x.partition(".")[2]) for k in known)
+    ]
+    assert missing == [], what
+
+
 def test_every_subject_has_results():
     assert sorted(runner.SUBJECTS) == FILES
 
