@@ -32,7 +32,7 @@ help:
 	@echo "make audit  check dependencies for known vulnerabilities; needs the network"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/; every warning is an error"
-	@echo "make bench  run the benchmarks, about 75 minutes on two quiet cores"
+	@echo "make bench  run the benchmarks, about 78 minutes on two quiet cores"
 	@echo "make bench-libero  run the benchmark in scenes of LIBERO (1.5 GB in an environment of its own), about an hour"
 	@echo "make bench-stale  list benchmark results that are older than the code they measure"
 	@echo "make wheel  build a wheel into dist/"
