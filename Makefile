@@ -33,7 +33,7 @@ help:
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/; every warning is an error"
 	@echo "make bench  run the benchmarks, about 78 minutes on two quiet cores"
-	@echo "make bench-libero  run the benchmark in scenes of LIBERO (1.5 GB in an environment of its own), about an hour"
+	@echo "make bench-libero  run the benchmark in scenes of LIBERO (1.5 GB in an environment of its own), about 10 minutes"
 	@echo "make bench-stale  list benchmark results that are older than the code they measure"
 	@echo "make wheel  build a wheel into dist/"
 	@echo "make release  build source distribution and wheel of the last commit twice and compare the bytes"

@@ -24,7 +24,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _SAMPLES = 16
-"""Configurations of a motion that are looked at: about 5 mm apart on a way of 8 cm."""
+"""Configurations of a motion that are compared: about 5 mm apart on a way of 8 cm."""
 _SLACK = 1e-3
 """Distance by which an object may come nearer to a thing than where it stands [m]: deviations from a straight line."""
 
