@@ -7,9 +7,7 @@ Simulations are independent, so results do not depend on the batch.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from mujoco.batch import Batch
@@ -55,21 +53,17 @@ def run_rollouts(
         execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
         return []
-    size = min(batch, -(-len(jobs) // threads))
+    size = min(batch * threads, len(jobs))
     groups = [alike[first : first + size] for alike in _by_period(jobs) for first in range(0, len(alike), size)]
-    names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
+    simulations = Batch(execution.world.model, size, nthread=threads, persistent=True)
+    fields = {
+        name: simulations.expand(name) for name in {"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs))
+    }
     rollouts: dict[int, Rollout] = {}
-
-    def work(simulations: Batch) -> None:
-        fields = {name: simulations.expand(name) for name in names}
+    with warnings_counted_only():
         for group in groups:
             done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
             rollouts.update(zip(group, done, strict=True))
-
-    # Created here, not in the threads, whose separate heaps would grow.
-    batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in groups[:threads]]
-    with warnings_counted_only():
-        _in_threads(work, batches, iter(groups))
     return [rollouts[i] for i in range(len(jobs))]
 
 
@@ -80,21 +74,6 @@ def _by_period(jobs: Sequence[RolloutRequest]) -> list[list[int]]:
         period = jobs[i].fault.period
         found.setdefault(math.inf if period is None else period, []).append(i)
     return [found[period] for period in sorted(found)]
-
-
-def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups: Iterator[list[int]]) -> None:
-    """Let threads process the groups; each has its own batch, so that one records while others simulate."""
-    if len(batches) == 1:
-        work(batches[0])
-        return
-    with ThreadPoolExecutor(len(batches)) as pool:
-        parts = [pool.submit(work, simulations) for simulations in batches]
-        try:
-            wait(parts, return_when=FIRST_EXCEPTION)
-        finally:
-            deque(groups, maxlen=0)  # after an error or interrupt, no thread starts another group
-    for part in parts:
-        part.result()
 
 
 def _run_group(
