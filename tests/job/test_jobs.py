@@ -120,8 +120,12 @@ def test_the_gap_and_the_use_of_time_are_told() -> None:
     result = ordered(_CAREFUL)
     assert 0.0 < result.gap == pytest.approx(1.0 - result.lower_bound / result.cost.total)
     assert gp.plan_job(order_job(), 0.0, grasps=1, iterations=1).gap == np.inf
-    parts = [result.stats[part] for part in ("grasps", "stances", "checks", "plan", "search")]
+    names = ("grasps", "stances", "checks", "plan", "search")
+    parts = [result.stats[part] for part in names]
     assert min(parts) > 0.0 and sum(parts) == pytest.approx(result.stats["total_time"])
+    again = result.why(order=["dome", "crate"], iterations=20).other.stats
+    assert min(again[part] for part in names) >= 0.0
+    assert sum(again[part] for part in names) == pytest.approx(again["total_time"])
 
 
 def test_the_bound_of_own_actions_counts_their_own_bound_only() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -158,6 +158,7 @@ class JobSession:
         for name in order:
             if name not in self._job.goals:
                 raise UnknownNameError("goal of the job", name, self._job.goals)
+        before = dict(self._choices.motions.seconds) if "_choices" in vars(self) else {}
         search = self.search(order)
         motions = search.motions
         limited = np.isfinite(budget.time_limit)
@@ -177,7 +178,9 @@ class JobSession:
             return budget.cancelled() or is_late or (iterations is not None and planned >= iterations)
 
         if why := conflict(search):
-            return JobResult(status=JobStatus.INFEASIBLE, detail=why, stats=_stats(search, budget), again=self.answer)
+            return JobResult(
+                status=JobStatus.INFEASIBLE, detail=why, stats=_stats(search, budget, before), again=self.answer
+            )
         search.run(over, improved)
         if search.best is None:
             status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
@@ -187,7 +190,7 @@ class JobSession:
                 status=status,
                 detail=reasons(search),
                 rejected=_rejected(search),
-                stats=_stats(search, budget),
+                stats=_stats(search, budget, before),
                 again=self.answer,
             )
         bound = sequence_bound(
@@ -208,7 +211,7 @@ class JobSession:
             exhaustive=search.exhausted and not search.unsure,
             trace=tuple(trace),
             rejected=_rejected(search, chosen, others),
-            stats=_stats(search, budget),
+            stats=_stats(search, budget, before),
             again=self.answer,
         )
 
@@ -374,9 +377,10 @@ class JobSession:
         return piece.label in ("transit", "carry") and piece.cost.total > 1.001 * float(np.linalg.norm(q[-1] - q[0]))
 
 
-def _stats(search: SequenceSearch, budget: Budget) -> dict[str, float]:
-    """Return what the time was used for [s], and the number of planned actions."""
-    parts, total = search.motions.seconds, budget.elapsed
+def _stats(search: SequenceSearch, budget: Budget, before: Mapping[str, float]) -> dict[str, float]:
+    """Return the time spent on each part [s], without that of earlier calls, and the number of planned actions."""
+    parts = {part: seconds - before.get(part, 0.0) for part, seconds in search.motions.seconds.items()}
+    total = budget.elapsed
     rest = total - sum(parts.values())
     return {**parts, "search": rest, "total_time": total, "actions": float(search.planned)}
 
