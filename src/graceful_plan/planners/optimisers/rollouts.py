@@ -110,7 +110,7 @@ def weights(rollouts: Rollouts, spread: Float[Array, "point point"], sharpness: 
     low = np.where(counted, cost, np.inf).min(axis=0)
     width = np.where(counted, cost, -np.inf).max(axis=0) - low
     width = np.maximum(width, max(_FLAT * width.max(), _TINY))
-    score = np.clip((cost - low) / width, 0.0, 1.0)
+    score = np.clip(cost - low, 0.0, width) / width
     score += blocked / np.maximum(blocked.max(axis=0), _TINY) + 2.0 * ~free
     weight = np.exp(-sharpness * (score - score.min(axis=0)))
     return weight / weight.sum(axis=0)
