@@ -153,7 +153,7 @@ def variant(name: str, number: int) -> Variant:
             break
     while True:  # until places are as far apart as those that a job samples itself
         goals = {body: np.add(at, [*rng.uniform(-GOAL_SHIFT, GOAL_SHIFT, 2), 0.0]) for body, at in kind.goals.items()}
-        if nearer(drawn.edit(move=goals), list(goals), APART) is None:
+        if next(nearer(drawn.edit(move=goals), list(goals), APART), None) is None:
             break
     factors = {body: float(FACTOR ** rng.uniform(-1.0, 1.0)) for body in kind.precious}
     table = scene.notes.severity

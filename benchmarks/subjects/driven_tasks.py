@@ -172,9 +172,7 @@ def _examined(name: str, options: suite.Options) -> Task:
             known[limit, seed] = result
     seconds = options.seconds or options.pick(LONG, quick=1.0)
     plain = [_planned(task, 0.0, seed, seconds) for seed in seeds]
-    left = [seed for seed in seeds if (seconds, seed) not in known]
-    known |= {(seconds, seed): _planned(task, None, seed, seconds) for seed in left}
-    ours = [known[seconds, seed] for seed in seeds]
+    ours = [known.get((seconds, seed)) or _planned(task, None, seed, seconds) for seed in seeds]
     motions = {w: [result.unwrap() for result in results] for w, results in ((0.0, plain), (None, ours))}
     objective = gp.Objective()
     costs = {w: [gp.evaluate(one, scene, objective) for one in of] for w, of in motions.items()}

@@ -28,7 +28,7 @@ CONFIGURATIONS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How much is asked of each robot."""
+    """Numbers of queries of a run, and their limits."""
 
     queries: int
     asked: int

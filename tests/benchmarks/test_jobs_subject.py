@@ -95,7 +95,7 @@ def test_drawn_objects_do_not_overlap_and_their_places_are_apart(name: str) -> N
     for number in range(4):
         drawn = variant(name, number)
         assert overlapping(drawn.scene, list(drawn.goals)) is None
-        assert number == 0 or nearer(drawn.scene.edit(move=drawn.goals), list(drawn.goals), APART) is None
+        assert number == 0 or not list(nearer(drawn.scene.edit(move=drawn.goals), list(drawn.goals), APART))
 
 
 def test_a_search_comes_back_from_a_dead_end_to_the_choice_that_caused_it(monkeypatch: pytest.MonkeyPatch) -> None:

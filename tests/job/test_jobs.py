@@ -17,6 +17,8 @@ from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobFailed, JobStatus
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
 from graceful_plan.job.motions import JobMotion, Motions, Refusal
+from graceful_plan.job.placing import overlapping
+from graceful_plan.job.reasons import conflict
 from graceful_plan.job.search import Node, SequenceSearch
 
 _GLASS = 0.048
@@ -243,6 +245,24 @@ def test_places_that_overlap_are_told_before_anything_is_planned() -> None:
     result = gp.plan_job(job.allow(gp.Clear("dome")), 0.0, grasps=1, iterations=1)
     assert result.status is JobStatus.INFEASIBLE and result.stats["actions"] == 0
     assert "'crate'" in result.detail and "'dome'" in result.detail
+
+
+def test_objects_that_touch_at_the_start_may_touch_at_their_places() -> None:
+    job = gp.Job(_close_glasses(apart=_GLASS - 0.001))
+    job.place("glass1", at=[0.4, 0.3, 0.4]).place("glass2", at=[0.4 + _GLASS - 0.001, 0.3, 0.4])
+    search = JobSession(job, gp.Objective(w=0.0), grasps=1).search()
+    assert conflict(search) == ""
+
+
+def test_places_of_objects_that_may_touch_may_overlap() -> None:
+    scene = job_scene("order")
+    apart = scene.edit(move={"crate": [0.5, 0.3, 0.4], "dome": [0.5, 0.36, 0.4]})
+    assert overlapping(apart, ["crate", "dome"]) == ("crate", "dome")
+    for when in ("always", "ends"):
+        assert (
+            overlapping(apart.with_allowed_contacts(gp.AllowedContact("crate", "dome", when)), ["crate", "dome"])
+            is None
+        )
 
 
 @pytest.mark.parametrize("gap", [-0.001, 0.0])

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from graceful_plan.job.job_result import Step
-from graceful_plan.job.nearness import nearness
+from graceful_plan.job.nearness import STANDS_FIRST, nearness
 from graceful_plan.query.candidates.descents import TRACKING_CLEARANCE
-
-_STANDS_FIRST = {"lift": True, "retreat": True, "approach": False, "lower": False}
-"""Whether the object stands in its place at the start of a straight motion, by its label."""
 
 
 def close_passages(steps: Sequence[Step]) -> str:
@@ -30,14 +27,14 @@ def _close(step: Step) -> Iterator[tuple[str, str, float]]:
     """Yield the object of a step, a thing that is passed closely, and the distance [m]."""
     held = [piece.scene.carried for piece in step.pieces if piece.label in ("lift", "lower")]
     for piece in step.pieces:
-        if piece.label in _STANDS_FIRST and held and held[0] is not None:
+        if piece.label in STANDS_FIRST and held and held[0] is not None:
             name = held[0].body
             near = nearness(
                 piece.trajectory,
                 piece.scene,
                 name,
                 margin=TRACKING_CLEARANCE,
-                stands_first=_STANDS_FIRST[piece.label],
+                stands_first=STANDS_FIRST[piece.label],
             )
             for distance, thing in ((near.moving, near.passed), (near.standing, near.beside)):
                 if thing:

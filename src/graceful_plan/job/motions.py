@@ -21,7 +21,7 @@ from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, sampled_grasps
 from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
-from graceful_plan.job.nearness import Nearness, nearness, nearness_at
+from graceful_plan.job.nearness import STANDS_FIRST, Nearness, nearness, nearness_at
 from graceful_plan.job.placing import occupant
 from graceful_plan.job.still_base import is_reached_from, reached_poses, straight_arm_motion
 from graceful_plan.judge.exact import Judge, state_contacts
@@ -453,15 +453,16 @@ class Motions:
         made = ends if isinstance(ends, Refusal) else self._straight(state, name, grasp, X_WO, ends)
         if isinstance(made, Refusal):
             return made
-        for label in ("approach", "lift", "lower", "retreat"):
-            found = found.within(self._nearness(made[label], name, stands_first=label in ("lift", "retreat")))
+        for label in STANDS_FIRST:
+            found = found.within(self._nearness(made[label], name))
         return found
 
-    def _nearness(self, piece: JobMotion, name: str, *, stands_first: bool) -> Nearness:
+    def _nearness(self, piece: JobMotion, name: str) -> Nearness:
         key = ("near", id(piece))
         if key not in self._known:
             began = time.perf_counter()
-            found = nearness(piece.trajectory, piece.scene, name, margin=TRACKING_CLEARANCE, stands_first=stands_first)
+            first = STANDS_FIRST[piece.label]
+            found = nearness(piece.trajectory, piece.scene, name, margin=TRACKING_CLEARANCE, stands_first=first)
             self._known[key] = (found, piece)  # kept alive: ids are keys
             self.seconds["checks"] += time.perf_counter() - began
         return self._known[key][0]  # type: ignore[index,no-any-return]

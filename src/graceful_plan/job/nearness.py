@@ -25,6 +25,8 @@ Array = np.ndarray
 
 _SAMPLES = 16
 """Configurations of a motion that are compared: about 5 mm apart on a way of 8 cm."""
+STANDS_FIRST = {"approach": False, "lift": True, "lower": False, "retreat": True}
+"""Whether the object stands in its place at the start of a straight motion, by its label; otherwise at its end."""
 _SLACK = 1e-3
 """Distance by which an object may come nearer to a thing than where it stands [m]: deviations from a straight line."""
 

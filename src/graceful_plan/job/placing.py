@@ -20,7 +20,7 @@ from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.job.placed import Placed
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.query.arguments import checked_seed
-from graceful_plan.scene.model_parts import colliding_geoms
+from graceful_plan.scene.model_parts import colliding_geoms, subtree
 from graceful_plan.scene.roles import held_note
 from graceful_plan.scene.scene import Scene
 
@@ -138,28 +138,23 @@ def occupant(scene: Scene, name: str, X_WO: Float[Array, "4 4"]) -> str | None:
 def touched(scene: Scene, name: str) -> set[str]:
     """Return the bodies that an object touches where it stands, such as its support and close neighbours."""
     thing = _Standing(scene, name)
-    near = {
-        other
-        for other, g in product(thing.others, thing.geoms)
-        if mujoco.mj_geomDistance(thing.model, thing.data, g, other, APART, None) < _TOUCHING
-    }
-    return {thing.model.body(thing.model.geom_bodyid[other]).name for other in near} - {""}
+    return set(thing.nearer(thing.X_WO, None, _TOUCHING)) - {""}
 
 
-def nearer(scene: Scene, names: Sequence[str], than: float) -> tuple[str, str] | None:
-    """Return the first two of some objects that are nearer to each other than a distance [m]; None if none are."""
+def nearer(scene: Scene, names: Sequence[str], than: float) -> Iterator[tuple[str, str]]:
+    """Yield pairs of objects that are nearer to each other than a distance [m], unless they may touch in the scene."""
     data = scene.data_at(scene.home_qpos[scene.qpos_adr])
-    geoms = {name: Placed(scene, name).geoms for name in names}
+    geoms = {name: colliding_geoms(scene.model, subtree(scene.model, scene.model.body(name).id)) for name in names}
+    allowed = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
     for first, second in combinations(names, 2):
-        for a, b in product(geoms[first], geoms[second]):
-            if mujoco.mj_geomDistance(scene.model, data, a, b, abs(than) + APART, None) < than:
-                return first, second
-    return None
+        pairs = ((a, b) for a, b in product(geoms[first], geoms[second]) if (min(a, b), max(a, b)) not in allowed)
+        if any(mujoco.mj_geomDistance(scene.model, data, a, b, abs(than) + APART, None) < than for a, b in pairs):
+            yield first, second
 
 
 def overlapping(scene: Scene, names: Sequence[str]) -> tuple[str, str] | None:
     """Return the first two of some objects that overlap where they stand in a scene; None if all are apart."""
-    return nearer(scene, names, -_TOUCHING)
+    return next(nearer(scene, names, -_TOUCHING), None)
 
 
 class _Standing(Placed):
@@ -190,15 +185,19 @@ class _Standing(Placed):
 
     def blocker(self, X_WO: Float[Array, "4 4"], but: str | None, apart: float) -> str | None:
         """Return a body that is nearer than a distance [m] to the object at a pose, other than its support."""
+        return next(self.nearer(X_WO, but, apart), None)
+
+    def nearer(self, X_WO: Float[Array, "4 4"], but: str | None, than: float) -> Iterator[str]:
+        """Yield the bodies that are nearer than a distance [m] to the object at a pose, other than one."""
         self.move(self.geoms, X_WO @ self.X_OG)
         for other in self.others:
             body = self.model.body(self.model.geom_bodyid[other]).name
             if body == but:
                 continue
             for g in self.geoms:
-                if mujoco.mj_geomDistance(self.model, self.data, g, other, abs(apart) + APART, None) < apart:
-                    return body
-        return None
+                if mujoco.mj_geomDistance(self.model, self.data, g, other, abs(than) + APART, None) < than:
+                    yield body
+                    break
 
 
 def _tops(thing: _Standing, on: str | None) -> Iterator[_Top]:

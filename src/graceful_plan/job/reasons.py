@@ -11,6 +11,7 @@ from graceful_plan.job.opening import Open, shut_in
 from graceful_plan.job.placing import occupant, overlapping
 from graceful_plan.job.rejected import Reason, Rejected
 from graceful_plan.job.search import SequenceSearch
+from graceful_plan.scene.elements import AllowedContact
 
 
 def reasons(search: SequenceSearch) -> str:
@@ -23,11 +24,13 @@ def reasons(search: SequenceSearch) -> str:
 
 def conflict(search: SequenceSearch) -> str:
     """Return why the goals exclude each other: two objects that each have one place, and overlap there; or nothing."""
-    fixed = [goal for goal in search.goals if goal.onto is None and len(goal.to) == 1]
-    arrived = search.start
-    for goal in fixed:
-        arrived = arrived.moved(goal.name, pose_of(goal.to[0]))
-    pair = overlapping(arrived.scene(), [goal.name for goal in fixed])
+    arrived, names = search.start, []
+    for goal in search.goals:
+        if goal.onto is None and len(goal.to) == 1:
+            arrived, names = arrived.moved(goal.name, pose_of(goal.to[0])), [*names, goal.name]
+    supports = search.motions.supports
+    on = [AllowedContact(name, other, "ends") for name in names for other in supports.get(name, ()) if other in names]
+    pair = overlapping(arrived.scene().with_allowed_contacts(*on), names)
     return "" if pair is None else f"{pair[0]!r} and {pair[1]!r} overlap at their places"
 
 
